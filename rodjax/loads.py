@@ -1,0 +1,219 @@
+"""Distributed and point loads: what acts on the nodes besides the rod itself.
+
+A load gives the wrench on every node from that node's own motion alone, so that its tangent is
+one 6x6 block a node. A scene holds a tuple of loads; they are summed.
+"""
+
+import abc
+from collections.abc import Callable
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.core
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from rodjax import rotations
+from rodjax.rod import Rod
+from rodjax.schedules import AbstractSchedule
+
+
+class NodeMotion(NamedTuple):
+    """Configuration and rates of the nodes that a load sees."""
+
+    time: Float[Array, ""]
+    position: Float[Array, "n+1 3"]
+    quaternion: Float[Array, "n+1 4"]
+    velocity: Float[Array, "n+1 3"]  # inertial components
+    angular_velocity: Float[Array, "n+1 3"]  # body components
+
+
+def _as_float(value):
+    return jnp.asarray(value, jnp.result_type(float, jnp.asarray(value).dtype))
+
+
+def _check_not_negative(**values):
+    for name, value in values.items():
+        if not isinstance(value, jax.core.Tracer) and hasattr(value, "shape"):
+            if not np.all(np.isfinite(value)) or np.any(np.asarray(value) < 0):
+                raise ValueError(f"{name}: must be finite and not negative, got {value}")
+
+
+class AbstractLoad(eqx.Module):
+    """A load on the nodes."""
+
+    @abc.abstractmethod
+    def wrench(self, rod: Rod, motion: NodeMotion) -> Float[Array, "n+1 6"]:
+        """Force (inertial) [N] and moment (body) [N m] on each node, from its own motion only."""
+
+    def check(self, rod: Rod) -> None:  # noqa: B027 (optional)
+        """Raise ValueError where the rod lacks what the load needs."""
+
+    def added_mass(self, rod: Rod, motion: NodeMotion) -> Float[Array, "n+1 3 3"] | None:
+        """Mass matrix of the nodes that the load adds (inertial axes), or None."""
+        return None
+
+
+def _need(rod: Rod, name: str, load: str):
+    if getattr(rod, name) is None:
+        raise ValueError(f"{name}: {load} needs the rod's {name}; give it to the rod's section")
+
+
+class Gravity(AbstractLoad):
+    """Weight less buoyancy, (m - rho_f A_c) g per length, `acceleration` g in inertial axes."""
+
+    acceleration: Float[Array, "3"] = eqx.field(converter=_as_float)
+    fluid_density: Float[Array, ""] | None = eqx.field(
+        converter=lambda x: None if x is None else _as_float(x), default=None
+    )
+
+    def check(self, rod):
+        _need(rod, "mass", "Gravity")
+        if self.fluid_density is not None:
+            _need(rod, "area", "Gravity with buoyancy")
+
+    def weight(self, rod: Rod) -> Float[Array, "n+1 3"]:
+        """Weight of the nodes in the fluid [N]."""
+        density = rod.mass if self.fluid_density is None else rod.mass - self.fluid_density * rod.area
+        return rod.to_nodes(density)[:, None] * self.acceleration
+
+    def wrench(self, rod, motion):
+        weight = self.weight(rod)
+        return jnp.concatenate([weight, jnp.zeros_like(weight)], 1)
+
+
+class MorisonDrag(AbstractLoad):
+    """Eq. (14): -rho_f D/2 (C_n |v_n| v_n + pi C_t |v_t| v_t) per length.
+
+    v_n, v_t are the parts across and along the tangent of the velocity relative to `current`
+    (inertial, uniform). (The printed second term lacks a v: it must read pi C_t (v.t)|v.t| t.)
+    `added_mass_coefficient` C_a adds the mass rho_f A_c C_a per length across the tangent, which
+    moves with the rod (current taken as steady). Source: Morison et al. 1950.
+    """
+
+    fluid_density: Float[Array, ""] = eqx.field(converter=_as_float)
+    normal_coefficient: Float[Array, ""] = eqx.field(converter=_as_float)
+    tangential_coefficient: Float[Array, ""] = eqx.field(converter=_as_float)
+    current: Float[Array, "3"] | None = eqx.field(
+        converter=lambda x: None if x is None else _as_float(x), default=None
+    )
+    added_mass_coefficient: Float[Array, ""] | None = eqx.field(
+        converter=lambda x: None if x is None else _as_float(x), default=None
+    )
+
+    def __check_init__(self):
+        _check_not_negative(
+            fluid_density=self.fluid_density,
+            normal_coefficient=self.normal_coefficient,
+            tangential_coefficient=self.tangential_coefficient,
+        )
+
+    def check(self, rod):
+        _need(rod, "diameter", "MorisonDrag")
+        if self.added_mass_coefficient is not None:
+            _need(rod, "area", "MorisonDrag with added mass")
+
+    def wrench(self, rod, motion):
+        velocity = motion.velocity if self.current is None else motion.velocity - self.current
+        tangent = rotations.tangent_director(motion.quaternion)
+        along = jnp.sum(velocity * tangent, 1, keepdims=True)
+        across = velocity - along * tangent
+        squared = jnp.sum(across * across, 1, keepdims=True)
+        resting = squared == 0
+        speed = jnp.where(resting, 0.0, jnp.sqrt(jnp.where(resting, 1.0, squared)))
+        scale = 0.5 * self.fluid_density * rod.to_nodes(rod.diameter)[:, None]
+        force = -scale * (
+            self.normal_coefficient * speed * across
+            + jnp.pi * self.tangential_coefficient * jnp.abs(along) * along * tangent
+        )
+        return jnp.concatenate([force, jnp.zeros_like(force)], 1)
+
+    def added_mass(self, rod, motion):
+        if self.added_mass_coefficient is None:
+            return None
+        tangent = rotations.tangent_director(motion.quaternion)
+        amount = self.fluid_density * self.added_mass_coefficient * rod.to_nodes(rod.area)
+        across = jnp.eye(3, dtype=tangent.dtype) - tangent[:, :, None] * tangent[:, None, :]
+        return amount[:, None, None] * across
+
+
+class LinearDrag(AbstractLoad):
+    """-c_n v_n - c_t v_t per length, and the moment -c_r omega_3 about the tangent per length.
+
+    With `rod.mass = None` this is what the elastic forces balance (Klapper 1996); it then needs
+    all three coefficients positive. c_n, c_t [N s/m^2], c_r [N s].
+    """
+
+    normal: Float[Array, ""] = eqx.field(converter=_as_float)
+    tangential: Float[Array, ""] = eqx.field(converter=_as_float)
+    rotational: Float[Array, ""] = eqx.field(converter=_as_float, default=0.0)
+
+    def __check_init__(self):
+        _check_not_negative(
+            normal=self.normal, tangential=self.tangential, rotational=self.rotational
+        )
+
+    def wrench(self, rod, motion):
+        tangent = rotations.tangent_director(motion.quaternion)
+        along = jnp.sum(motion.velocity * tangent, 1, keepdims=True)
+        length = rod.node_length[:, None]
+        force = -length * (
+            self.normal * motion.velocity + (self.tangential - self.normal) * along * tangent
+        )
+        axial = -length * self.rotational * motion.angular_velocity[:, 2:]
+        zero = jnp.zeros_like(axial)
+        return jnp.concatenate([force, zero, zero, axial], 1)
+
+
+class DistributedLoad(AbstractLoad):
+    """A user's force and moment per length.
+
+    `function(parameters, s, motion)` returns (n+1, 6): force per length in inertial axes, moment
+    per length in body axes, each row from its own node of `motion` (a `NodeMotion`) only;
+    `parameters` is any pytree of arrays and can be differentiated.
+    """
+
+    function: Callable = eqx.field(static=True)
+    parameters: object = None
+
+    def wrench(self, rod, motion):
+        per_length = self.function(self.parameters, rod.arc_length, motion)
+        return rod.node_length[:, None] * per_length
+
+
+class PointLoad(AbstractLoad):
+    """Force and moment on one node (0 and -1 are the ends), dead or following the cross-section.
+
+    `force`, `moment`: schedules of three components [N], [N m]; inertial axes when dead, body
+    axes when `follower`.
+    """
+
+    node: int = eqx.field(static=True)
+    force: AbstractSchedule | None = None
+    moment: AbstractSchedule | None = None
+    follower: bool = eqx.field(static=True, default=False)
+
+    def check(self, rod):
+        if not -rod.elements - 1 <= self.node <= rod.elements:
+            raise ValueError(f"node: {self.node} is not one of the {rod.elements + 1} nodes")
+
+    def wrench(self, rod, motion):
+        frame = motion.quaternion[self.node]
+        zero = jnp.zeros((3,), frame.dtype)
+        force = zero if self.force is None else self.force(motion.time)
+        moment = zero if self.moment is None else self.moment(motion.time)
+        if self.follower:
+            force = rotations.rotate(frame, force)
+        else:
+            moment = rotations.rotate_inverse(frame, moment)
+        both = jnp.concatenate([force, moment])
+        return jnp.zeros((rod.elements + 1, 6), both.dtype).at[self.node].set(both)
+
+
+def total_wrench(
+    loads: tuple[AbstractLoad, ...], rod: Rod, motion: NodeMotion
+) -> Float[Array, "n+1 6"]:
+    """Sum of the loads on the nodes."""
+    return sum(load.wrench(rod, motion) for load in loads)

@@ -1,0 +1,70 @@
+"""Result codes of traced code, and the errors they become outside it."""
+
+import enum
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Int
+
+
+class Result(enum.IntEnum):
+    """Why a computation ended; the larger code wins when several are joined."""
+
+    SUCCESS = 0
+    STEP_TOO_SMALL = 1
+    MAX_STEPS = 2
+    NEWTON_FAILED = 3
+    STRAND_PASSAGE = 4
+    CAPACITY_OVERFLOW = 5
+    ROTATION_TOO_LARGE = 6
+    NON_FINITE = 7
+
+
+MESSAGES = {
+    Result.SUCCESS: "the computation succeeded",
+    Result.STEP_TOO_SMALL: (
+        "the step fell below min_step without an acceptable solution; the motion is too fast or the"
+        " contact too stiff for the grid: use more elements, a softer law, or a smaller min_step"
+    ),
+    Result.MAX_STEPS: "max_steps was reached before the end time; raise max_steps or the tolerance",
+    Result.NEWTON_FAILED: (
+        "Newton's method did not converge; use a smaller step, or the adaptive rollout"
+    ),
+    Result.STRAND_PASSAGE: (
+        "a strand seems to have passed through another (Tw + Wr jumped); use closer contact points,"
+        " a stiffer law or smaller steps"
+    ),
+    Result.CAPACITY_OVERFLOW: (
+        "more contact points were active than the contact's `capacity` holds; raise it"
+    ),
+    Result.ROTATION_TOO_LARGE: (
+        "an element or a step turned by more than a revolution; use more elements or smaller steps"
+    ),
+    Result.NON_FINITE: (
+        "a value became infinite or not a number; check the inputs, or use a smaller step"
+    ),
+}
+
+
+class SimulationError(RuntimeError):
+    """A run that failed, with its `result` and, where there is one, what it had computed."""
+
+    def __init__(self, result: Result, where: str = "", partial=None):
+        self.result = Result(result)
+        self.partial = partial
+        super().__init__(f"{where + ': ' if where else ''}{MESSAGES[self.result]}")
+
+
+def join(*codes: Int[Array, ""]) -> Int[Array, ""]:
+    """The worst of several codes."""
+    worst = jnp.asarray(codes[0], jnp.int32)
+    for code in codes[1:]:
+        worst = jnp.maximum(worst, jnp.asarray(code, jnp.int32))
+    return worst
+
+
+def raise_if_failed(code, where: str = "", partial=None) -> None:
+    """Raise `SimulationError` outside traced code unless the worst of the codes is a success."""
+    worst = Result(int(np.max(np.asarray(code))))
+    if worst is not Result.SUCCESS:
+        raise SimulationError(worst, where, partial)

@@ -1,0 +1,186 @@
+"""Unit quaternions and rotation vectors, smooth at the identity.
+
+A quaternion is stored scalar first, (..., 4), and maps body components to inertial ones.
+A rotation vector is an axis times an angle in radians, (..., 3). Every coefficient function
+takes the *squared* angle and switches to its power series near zero, so that all derivatives
+are finite at the identity.
+"""
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+# Below this squared angle the series are used: eight terms reach round-off there, and the
+# closed forms, which cancel, keep at least eleven digits above it.
+_SERIES_BELOW = 0.25
+
+
+def _blend(squared, series, closed):
+    """Power series below the threshold, closed form of the angle above it (both kept safe)."""
+    small = squared < _SERIES_BELOW
+    angle = jnp.sqrt(jnp.where(small, 1.0, squared))
+    return jnp.where(small, jnp.polyval(jnp.asarray(series, squared.dtype), squared), closed(angle))
+
+
+# Series coefficients, highest power of the squared angle first (np.polyval's order).
+_SINC_HALF = [1 / 2 / 4**k * (-1) ** k / f for k, f in enumerate((1, 6, 120, 5040, 362880, 39916800))]
+_COS_HALF = [(-1) ** k / 4**k / f for k, f in enumerate((1, 2, 24, 720, 40320, 3628800, 479001600))]
+_VERSINE = [(-1) ** k / f for k, f in enumerate((2, 24, 720, 40320, 3628800, 479001600, 87178291200))]
+_CUBIC = [(-1) ** k / f for k, f in enumerate((6, 120, 5040, 362880, 39916800, 6227020800))]
+# Bernoulli numbers: 1 - (a/2) cot(a/2) = sum |B_2k| a^2k / (2k)!
+_INVERSE = [1 / 12, 1 / 720, 1 / 30240, 1 / 1209600, 1 / 47900160, 691 / 1307674368000,
+            1 / 74724249600, 3617 / 10670622842880000]  # fmt: skip
+# tan(y)/y with y = a/4, over 8
+_TANGENT = [c / 8 / 16**k for k, c in enumerate(
+    (1, 1 / 3, 2 / 15, 17 / 315, 62 / 2835, 1382 / 155925, 21844 / 6081075, 929569 / 638512875))]  # fmt: skip
+
+
+def _derivative(series):
+    """Series of (d/da)/a = 2 d/d(a^2) of a series in a^2 (lowest power first)."""
+    return [2 * k * c for k, c in enumerate(series)][1:]
+
+
+def inverse_tangent_coefficient(squared):
+    """c(a) = (1 - (a/2) cot(a/2)) / a^2 as a function of a^2; 1/12 at zero."""
+    return _blend(squared, _INVERSE[::-1], lambda a: (1 - 0.5 * a / jnp.tan(0.5 * a)) / a**2)
+
+
+def inverse_tangent_slope(squared):
+    """c'(a) / a for c of `inverse_tangent_coefficient`; 1/360 at zero."""
+
+    def closed(a):
+        cot = 1 / jnp.tan(0.5 * a)
+        return ((0.25 * a * (1 + cot**2) - 0.5 * cot) - 2 * (1 - 0.5 * a * cot) / a) / a**3
+
+    return _blend(squared, _derivative(_INVERSE)[::-1], closed)
+
+
+def midframe_coefficient(squared):
+    """b(a) = tan(a/4) / (2 a) as a function of a^2; 1/8 at zero."""
+    return _blend(squared, _TANGENT[::-1], lambda a: jnp.tan(0.25 * a) / (2 * a))
+
+
+def midframe_slope(squared):
+    """b'(a) / a for b of `midframe_coefficient`; 1/192 at zero."""
+
+    def closed(a):
+        tangent = jnp.tan(0.25 * a)
+        return ((1 + tangent**2) / 8 - tangent / (2 * a)) / a**2
+
+    return _blend(squared, _derivative(_TANGENT)[::-1], closed)
+
+
+def hat(vector: Float[Array, "*b 3"]) -> Float[Array, "*b 3 3"]:
+    """Skew matrix with hat(a) b = a x b."""
+    x, y, z = vector[..., 0], vector[..., 1], vector[..., 2]
+    zero = jnp.zeros_like(x)
+    rows = [(zero, -z, y), (z, zero, -x), (-y, x, zero)]
+    return jnp.stack([jnp.stack(row, -1) for row in rows], -2)
+
+
+def multiply(p: Float[Array, "*b 4"], q: Float[Array, "*b 4"]) -> Float[Array, "*b 4"]:
+    """Quaternion product p q: rotate by q first, then by p."""
+    pw, px, py, pz = (p[..., i] for i in range(4))
+    qw, qx, qy, qz = (q[..., i] for i in range(4))
+    return jnp.stack(
+        [
+            pw * qw - px * qx - py * qy - pz * qz,
+            pw * qx + px * qw + py * qz - pz * qy,
+            pw * qy - px * qz + py * qw + pz * qx,
+            pw * qz + px * qy - py * qx + pz * qw,
+        ],
+        -1,
+    )
+
+
+def conjugate(q: Float[Array, "*b 4"]) -> Float[Array, "*b 4"]:
+    """Inverse of a unit quaternion."""
+    return jnp.concatenate([q[..., :1], -q[..., 1:]], -1)
+
+
+def normalize(q: Float[Array, "*b 4"]) -> Float[Array, "*b 4"]:
+    """Unit quaternion along q, which must not be zero."""
+    return q / jnp.sqrt(jnp.sum(q * q, -1, keepdims=True))
+
+
+def matrix(q: Float[Array, "*b 4"]) -> Float[Array, "*b 3 3"]:
+    """Rotation matrix of a unit quaternion; its columns are the directors a_1, a_2, a_3."""
+    w, x, y, z = (q[..., i] for i in range(4))
+    rows = [
+        (1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
+        (2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)),
+        (2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)),
+    ]
+    return jnp.stack([jnp.stack(row, -1) for row in rows], -2)
+
+
+def tangent_director(q: Float[Array, "*b 4"]) -> Float[Array, "*b 3"]:
+    """Third director a_3, the normal of the cross-section, in inertial components."""
+    w, x, y, z = (q[..., i] for i in range(4))
+    return jnp.stack([2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)], -1)
+
+
+def rotate(q: Float[Array, "*b 4"], vector: Float[Array, "*b 3"]) -> Float[Array, "*b 3"]:
+    """Body components to inertial components."""
+    axis = q[..., 1:]
+    twice = 2 * jnp.cross(axis, vector)
+    return vector + q[..., :1] * twice + jnp.cross(axis, twice)
+
+
+def rotate_inverse(q: Float[Array, "*b 4"], vector: Float[Array, "*b 3"]) -> Float[Array, "*b 3"]:
+    """Inertial components to body components."""
+    return rotate(conjugate(q), vector)
+
+
+def exponential(vector: Float[Array, "*b 3"]) -> Float[Array, "*b 4"]:
+    """Unit quaternion of a rotation vector [rad]."""
+    squared = jnp.sum(vector * vector, -1, keepdims=True)
+    scale = _blend(squared, _SINC_HALF[::-1], lambda a: jnp.sin(0.5 * a) / a)
+    cosine = _blend(squared, _COS_HALF[::-1], lambda a: jnp.cos(0.5 * a))
+    return jnp.concatenate([cosine, scale * vector], -1)
+
+
+def logarithm(q: Float[Array, "*b 4"]) -> Float[Array, "*b 3"]:
+    """Rotation vector [rad] of a unit quaternion.
+
+    The quaternion's sign is kept: q and -q give vectors that differ by a full turn, so that a
+    continuous sequence of quaternions has a continuous logarithm through angles of pi, up to 2 pi.
+    """
+    w, v = q[..., :1], q[..., 1:]
+    squared = jnp.sum(v * v, -1, keepdims=True)
+    small = (squared < 4e-3) & (w > 0)
+    sine = jnp.sqrt(jnp.where(small, 1.0, squared))
+    # atan(t)/t with t = sine / cosine
+    ratio = jnp.where(small, squared, 0.0) / jnp.where(small, w, 1.0) ** 2
+    series = jnp.polyval(jnp.asarray([(-1) ** k / (2 * k + 1) for k in range(7)][::-1], q.dtype), ratio)
+    scale = jnp.where(small, 2 * series / jnp.where(small, w, 1.0), 2 * jnp.arctan2(sine, w) / sine)
+    return scale * v
+
+
+def tangent(vector: Float[Array, "*b 3"]) -> Float[Array, "*b 3 3"]:
+    """Right Jacobian J: exp(v + dv) = exp(v) exp(J(v) dv) to first order."""
+    squared = jnp.sum(vector * vector, -1)[..., None, None]
+    skew = hat(vector)
+    first = _blend(squared, _VERSINE[::-1], lambda a: (1 - jnp.cos(a)) / a**2)
+    second = _blend(squared, _CUBIC[::-1], lambda a: (a - jnp.sin(a)) / a**3)
+    return jnp.eye(3, dtype=vector.dtype) - first * skew + second * (skew @ skew)
+
+
+def tangent_inverse(vector: Float[Array, "*b 3"]) -> Float[Array, "*b 3 3"]:
+    """Inverse of `tangent`: I + hat(v)/2 + c hat(v)^2."""
+    squared = jnp.sum(vector * vector, -1)[..., None, None]
+    skew = hat(vector)
+    return (
+        jnp.eye(3, dtype=vector.dtype)
+        + 0.5 * skew
+        + inverse_tangent_coefficient(squared) * (skew @ skew)
+    )
+
+
+def tangent_inverse_apply(
+    vector: Float[Array, "*b 3"], increment: Float[Array, "*b 3"]
+) -> Float[Array, "*b 3"]:
+    """`tangent_inverse(vector) @ increment` without the matrix."""
+    squared = jnp.sum(vector * vector, -1, keepdims=True)
+    once = jnp.cross(vector, increment)
+    twice = jnp.cross(vector, once)
+    return increment + 0.5 * once + inverse_tangent_coefficient(squared) * twice

@@ -1,0 +1,72 @@
+"""A scene: one rod, what holds its ends, what loads it, and whether it touches itself."""
+
+import equinox as eqx
+import jax.core
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from rodjax.ends import AbstractEnd, Free
+from rodjax.loads import AbstractLoad, LinearDrag
+from rodjax.rod import Rod
+
+
+class Scene(eqx.Module):
+    """Everything that is given; what is None or empty is absent from the traced program."""
+
+    rod: Rod
+    first_end: AbstractEnd = Free()
+    last_end: AbstractEnd = Free()
+    loads: tuple[AbstractLoad, ...] = ()
+    contact: eqx.Module | None = None
+
+    def __check_init__(self):
+        if not isinstance(self.loads, tuple):
+            raise ValueError("loads: give a tuple, for one load (load,)")
+        for load in self.loads:
+            load.check(self.rod)
+        if self.contact is not None:
+            self.contact.check(self.rod)
+        if self.rod.mass is None:
+            self._check_inertialess()
+
+    def _check_inertialess(self):
+        drags = [load for load in self.loads if isinstance(load, LinearDrag)]
+        if not drags:
+            raise ValueError("loads: a rod with mass=None needs a LinearDrag to balance elasticity")
+        for name in ("normal", "tangential", "rotational"):
+            values = [getattr(drag, name) for drag in drags]
+            if any(isinstance(v, jax.core.Tracer) or not hasattr(v, "shape") for v in values):
+                continue
+            if not np.all(sum(np.asarray(v) for v in values) > 0):
+                raise ValueError(f"{name}: a rod with mass=None needs a positive {name} LinearDrag")
+
+    @property
+    def ends(self) -> tuple[AbstractEnd, AbstractEnd]:
+        """Both ends, that at s = 0 first."""
+        return self.first_end, self.last_end
+
+    @property
+    def switch_times(self) -> tuple[Float[Array, ""], ...]:
+        """Times at which a constraint changes; steps must end on them."""
+        return tuple(t for end in self.ends for t in end.switch_times)
+
+    def check_until(self, time: float) -> None:
+        """Raise ValueError if a schedule ends before `time` (outside traced code only)."""
+        for name, end in zip(("first_end", "last_end"), self.ends, strict=True):
+            for part in ("displacement", "rotation"):
+                schedule = getattr(end, part)
+                if schedule is None or isinstance(schedule.until, jax.core.Tracer):
+                    continue
+                until = float(schedule.until)
+                if until < time * (1 - 1e-9):
+                    raise ValueError(
+                        f"{name}.{part}: its schedule ends at {until:g}, before the run's end at"
+                        f" {time:g}; extend the schedule or shorten the run"
+                    )
+
+
+def projectors(scene: Scene, time: Float[Array, ""]) -> Float[Array, "2 6 6"]:
+    """Projectors of the two ends for a step that starts at `time`."""
+    dtype = scene.rod.position.dtype
+    return jnp.stack([end.projector(time).astype(dtype) for end in scene.ends])

@@ -1,0 +1,136 @@
+"""Prescribed quantities as differentiable functions of time."""
+
+import abc
+from collections.abc import Callable
+
+import equinox as eqx
+import jax.core
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+
+class AbstractSchedule(eqx.Module):
+    """A scalar or vector given for all times from 0 to `until`."""
+
+    @abc.abstractmethod
+    def __call__(self, time: Float[Array, ""]) -> Float[Array, "*k"]:
+        """Value at a time [s]."""
+
+    @property
+    @abc.abstractmethod
+    def until(self) -> float | Array:
+        """Last time for which the schedule is given [s]."""
+
+
+def _check_knots(times, values):
+    if isinstance(times, jax.core.Tracer) or not hasattr(times, "shape"):
+        return
+    if times.ndim != 1 or times.shape[0] < 2 or np.any(np.diff(times) <= 0):
+        raise ValueError("times: give at least two, strictly increasing")
+    if values.shape[:1] != times.shape:
+        raise ValueError(f"values: expected {times.shape[0]} (one a time), got shape {values.shape}")
+    if not isinstance(values, jax.core.Tracer) and not np.all(np.isfinite(values)):
+        raise ValueError("values: must be finite")
+
+
+def _as_float(value):
+    return jnp.asarray(value, jnp.result_type(float, jnp.asarray(value).dtype))
+
+
+class Constant(AbstractSchedule):
+    """One value for all times."""
+
+    value: Float[Array, "*k"] = eqx.field(converter=_as_float)
+
+    def __call__(self, time):
+        return self.value
+
+    @property
+    def until(self):
+        return np.inf
+
+
+class PiecewiseLinear(AbstractSchedule):
+    """Linear between knots. Its rate jumps at the knots, which lowers the order of convergence."""
+
+    times: Float[Array, " k"] = eqx.field(converter=_as_float)
+    values: Float[Array, "k *d"] = eqx.field(converter=_as_float)
+
+    def __check_init__(self):
+        _check_knots(self.times, self.values)
+
+    def __call__(self, time):
+        return _interpolate(self.times, self.values, time)
+
+    @property
+    def until(self):
+        return self.times[-1]
+
+
+class PiecewiseLinearRate(AbstractSchedule):
+    """The integral from the first knot of a rate that is linear between knots (Fig. 6)."""
+
+    times: Float[Array, " k"] = eqx.field(converter=_as_float)
+    rates: Float[Array, "k *d"] = eqx.field(converter=_as_float)
+
+    def __check_init__(self):
+        _check_knots(self.times, self.rates)
+
+    def __call__(self, time):
+        span = jnp.diff(self.times).reshape((-1,) + (1,) * (self.rates.ndim - 1))
+        area = 0.5 * span * (self.rates[1:] + self.rates[:-1])
+        reached = jnp.concatenate([jnp.zeros_like(self.rates[:1]), jnp.cumsum(area, 0)])
+        i = _piece(self.times, time)
+        rate = _interpolate(self.times, self.rates, time)
+        return reached[i] + 0.5 * (time - self.times[i]) * (self.rates[i] + rate)
+
+    @property
+    def until(self):
+        return self.times[-1]
+
+
+class Smooth(AbstractSchedule):
+    """Quintic steps from knot to knot: rate and acceleration vanish at every knot (C2)."""
+
+    times: Float[Array, " k"] = eqx.field(converter=_as_float)
+    values: Float[Array, "k *d"] = eqx.field(converter=_as_float)
+
+    def __check_init__(self):
+        _check_knots(self.times, self.values)
+
+    def __call__(self, time):
+        i = _piece(self.times, time)
+        x = (time - self.times[i]) / (self.times[i + 1] - self.times[i])
+        x = jnp.clip(x, 0.0, 1.0)
+        blend = x**3 * (10 - 15 * x + 6 * x**2)
+        return self.values[i] + blend * (self.values[i + 1] - self.values[i])
+
+    @property
+    def until(self):
+        return self.times[-1]
+
+
+class Function(AbstractSchedule):
+    """Any differentiable function of time, valid until the time given."""
+
+    function: Callable = eqx.field(static=True)
+    last: float = eqx.field(static=True, default=float("inf"))
+
+    def __call__(self, time):
+        return self.function(time)
+
+    @property
+    def until(self):
+        return self.last
+
+
+def _piece(times, time):
+    """Index of the interval that holds the time; the end intervals serve beyond the knots."""
+    return jnp.clip(jnp.searchsorted(times, time, side="right") - 1, 0, times.shape[0] - 2)
+
+
+def _interpolate(times, values, time):
+    i = _piece(times, time)
+    x = (time - times[i]) / (times[i + 1] - times[i])
+    return values[i] + x * (values[i + 1] - values[i])

@@ -1,0 +1,282 @@
+"""One step of the motion: equations of the step's end, their Newton system, and restarts."""
+
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jax import lax
+from jaxtyping import Array, Float, Int
+
+from rodjax import balance, ends, newton, rotations
+from rodjax.balance import Scales
+from rodjax.block_tridiagonal import BlockTridiagonal
+from rodjax.generalized_alpha import (
+    GeneralizedAlpha,
+    advance,
+    coefficients,
+    local_error,
+    predicted_increment,
+)
+from rodjax.consistency import restart
+from rodjax.inertia import inertial_wrench
+from rodjax.loads import NodeMotion, total_wrench
+from rodjax.results import Result, join
+from rodjax.scene import Scene, projectors
+from rodjax.state import State
+
+
+class StepInfo(NamedTuple):
+    """What a step reports besides the new state."""
+
+    result: Int[Array, ""]
+    iterations: Int[Array, ""]
+    error_position: Float[Array, ""]  # largest local error of a displacement [m]
+    error_rotation: Float[Array, ""]  # and of a rotation [rad]
+    growth_position: Float[Array, ""]  # largest displacement of the step [m]
+    growth_rotation: Float[Array, ""]  # and rotation [rad]
+    projection_loss: Float[Array, ""]  # kinetic energy lost where a constraint began [J]
+
+
+class System(NamedTuple):
+    """Linear system of a Newton iteration."""
+
+    blocks: BlockTridiagonal
+
+    def solve(self, b):
+        return self.blocks.solve(b)
+
+    def solve_transpose(self, b):
+        return self.blocks.transpose().solve(b)
+
+    def multiply(self, b):
+        return self.blocks.multiply(b[:, :, None])[:, :, 0]
+
+
+class StepEquations(eqx.Module):
+    """Balance, constraint and ends at t_{n+1}, in scaled unknowns.
+
+    Row i of x (n+1, 9) holds, for node i, the correction of its displacement over l, the internal
+    force of the element before it over F (none for i = 0), and the correction of its rotation.
+    Corrections are beta dt^2 a_{n+1} (see `generalized_alpha.advance`).
+    """
+
+    scene: Scene
+    state: State
+    stop: Float[Array, ""]
+    spectral_radius: Float[Array, ""]
+
+    @property
+    def coefficients(self):
+        return coefficients(self.spectral_radius, self.stop - self.state.time)
+
+    @property
+    def scales(self) -> Scales:
+        """Mean element length; a force that makes inertia plus bending of an element about 1."""
+        rod = self.scene.rod
+        length = jnp.mean(rod.length)
+        force = jnp.mean(rod.stiffness[:, :2]) / length**2
+        if rod.mass is not None:
+            mass = jnp.mean(rod.mass) * length
+            force = force + self.coefficients.by_acceleration * mass * length
+        return Scales(length, force)
+
+    def guess(self) -> Float[Array, "n+1 9"]:
+        """x for the accelerations and forces of the step's start."""
+        c, scales = self.coefficients, self.scales
+        correction = c.beta * c.dt**2 * self.state.auxiliary
+        return jnp.concatenate(
+            [
+                correction[:, :3] / scales.length,
+                balance.scatter(jnp.zeros_like(self.state.force), self.state.force) / scales.force,
+                correction[:, 3:],
+            ],
+            1,
+        )
+
+    def increment(self, x):
+        """Displacement [m] and rotation vector [rad] of the step, (n+1, 6)."""
+        predicted = predicted_increment(self.coefficients, self.state.rate, self.state.auxiliary)
+        return predicted + self.correction(x)
+
+    def correction(self, x):
+        return jnp.concatenate([x[:, :3] * self.scales.length, x[:, 6:]], 1)
+
+    def force(self, x):
+        return x[1:, 3:6] * self.scales.force
+
+    def motion(self, x):
+        """Nodes at the step's end, their accelerations, and the rotation of the step."""
+        increment = self.increment(x)
+        rate, acceleration, _ = advance(
+            self.coefficients,
+            self.state.rate,
+            self.state.acceleration,
+            self.state.auxiliary,
+            self.correction(x),
+        )
+        motion = NodeMotion(
+            self.stop,
+            self.state.position + increment[:, :3],
+            rotations.multiply(self.state.quaternion, rotations.exponential(increment[:, 3:])),
+            rate[:, :3],
+            rate[:, 3:],
+        )
+        return motion, acceleration, increment
+
+    def _pack(self, motion, acceleration, increment, force):
+        scene, scales = self.scene, self.scales
+        wrench, constraint = nodal_balance(scene, motion, acceleration, force)
+        scale = jnp.repeat(jnp.stack([scales.force, scales.force * scales.length]), 3)
+        wrench = wrench / scale
+        both = projectors(scene, self.state.time)
+        unit = jnp.repeat(jnp.stack([scales.length, jnp.ones_like(scales.length)]), 3)
+        for index, end, projector in zip((0, -1), scene.ends, both, strict=True):
+            start = self.state.quaternion[index]
+            prescribed = ends.increments(end, self.state.time, self.stop, start)
+            gap = _gap(increment[index], prescribed) / unit
+            row = wrench[index] + projector @ (gap - wrench[index])
+            wrench = wrench.at[index].set(row)
+        constraint = jnp.concatenate([self._dummy(force), constraint])
+        return jnp.concatenate([constraint, wrench], 1)
+
+    def _dummy(self, force):
+        return jnp.zeros_like(force[:1])
+
+    def residual(self, x):
+        motion, acceleration, increment = self.motion(x)
+        residual = self._pack(motion, acceleration, increment, self.force(x))
+        return residual.at[0, :3].set(x[0, 3:6])
+
+    def linearize(self, x):
+        scene, rod, c = self.scene, self.scene.rod, self.coefficients
+        motion, acceleration, increment = self.motion(x)
+        force = self.force(x)
+        residual = self._pack(motion, acceleration, increment, force).at[0, :3].set(x[0, 3:6])
+        tangent = balance.element_tangent(rod, motion.position, motion.quaternion, force)
+        node = node_tangent(
+            scene, motion, acceleration, increment[:, 3:], c.by_velocity, c.by_acceleration
+        )
+        blocks = balance.assemble(
+            rod, tangent, node, tuple(projectors(scene, self.state.time)), self.scales
+        )
+        return residual, System(blocks)
+
+    def lift(self, x, dx):
+        """Increment of x for solved increments, whose rotations are body spins."""
+        turn = self.increment(x)[:, 3:]
+        return dx.at[:, 6:].set(rotations.tangent_inverse_apply(turn, dx[:, 6:]))
+
+    def retract(self, x, dx):
+        return x + self.lift(x, dx)
+
+    def limit(self, x, dx):
+        return jnp.ones((), x.dtype)
+
+    def size(self, dx):
+        return jnp.maximum(jnp.max(jnp.abs(dx[:, :3])), jnp.max(jnp.abs(dx[:, 6:])))
+
+
+def _gap(increment, prescribed):
+    """What an end's increment lacks, the rotation as the body spin still to go."""
+    turn = rotations.multiply(
+        rotations.conjugate(rotations.exponential(prescribed[3:])),
+        rotations.exponential(increment[3:]),
+    )
+    return jnp.concatenate([increment[:3] - prescribed[:3], rotations.logarithm(turn)])
+
+
+def nodal_balance(scene: Scene, motion: NodeMotion, acceleration, force):
+    """Inertia + internal - external wrench of every node (n+1, 6), and the constraint (n, 3)."""
+    inner = balance.internal(scene.rod, motion.position, motion.quaternion, force)
+    wrench = jnp.concatenate([inner.force, inner.moment], 1)
+    if scene.rod.mass is not None:
+        wrench = wrench + inertial_wrench(scene, motion, acceleration)
+    if scene.loads:
+        wrench = wrench - total_wrench(scene.loads, scene.rod, motion)
+    return wrench, inner.constraint
+
+
+def node_tangent(scene, motion, acceleration, turn, by_velocity, by_acceleration):
+    """Derivative of inertia and loads of each node by its displacement and body spin, (n+1, 6, 6).
+
+    Rates follow increments by generalised-alpha; `turn` is the rotation vector of the step, whose
+    increment for a spin d is J(turn)^-1 d.
+    """
+    dtype = motion.position.dtype
+
+    def wrench(z):
+        vector = rotations.tangent_inverse_apply(turn, z[:, 3:])
+        half = jnp.concatenate([jnp.zeros_like(z[:, :1]), 0.5 * z[:, 3:]], 1)
+        moved = NodeMotion(
+            motion.time,
+            motion.position + z[:, :3],
+            motion.quaternion + rotations.multiply(motion.quaternion, half),
+            motion.velocity + by_velocity * z[:, :3],
+            motion.angular_velocity + by_velocity * vector,
+        )
+        total = jnp.zeros_like(z)
+        if scene.rod.mass is not None:
+            rate = by_acceleration * jnp.concatenate([z[:, :3], vector], 1)
+            total = total + inertial_wrench(scene, moved, acceleration + rate)
+        if scene.loads:
+            total = total - total_wrench(scene.loads, scene.rod, moved)
+        return total
+
+    zero = jnp.zeros((scene.rod.elements + 1, 6), dtype)
+    _, push = jax.linearize(wrench, zero)
+    columns = [push(zero.at[:, k].set(1.0)) for k in range(6)]
+    return jnp.stack(columns, 2)
+
+
+def step(
+    scene: Scene,
+    state: State,
+    stop: Float[Array, ""],
+    method: GeneralizedAlpha = GeneralizedAlpha(),  # noqa: B008 (immutable)
+) -> tuple[State, StepInfo]:
+    """Advance the motion from `state.time` to `stop`.
+
+    Pure and differentiable; if a constraint begins at the step's start, velocities are first
+    projected onto it and accelerations and forces made consistent. A failed step is reported in
+    `StepInfo.result`, never raised.
+    """
+    loss = jnp.zeros((), state.position.dtype)
+    if scene.switch_times:
+        switches = jnp.any(jnp.stack([t == state.time for t in scene.switch_times]))
+        state, loss = lax.cond(
+            switches, lambda s: restart(scene, s), lambda s: (s, loss), state
+        )
+    equations = StepEquations(scene, state, stop, method.spectral_radius)
+    tolerance = method.newton_tolerance(state.position.dtype)
+    x, solved = newton.solve(equations, equations.guess(), tolerance, method.max_iterations)
+    increment = equations.increment(x)
+    c = equations.coefficients
+    rate, acceleration, auxiliary = advance(
+        c, state.rate, state.acceleration, state.auxiliary, equations.correction(x)
+    )
+    turned = rotations.multiply(state.quaternion, rotations.exponential(increment[:, 3:]))
+    new = State(
+        stop,
+        state.position + increment[:, :3],
+        rotations.normalize(turned),
+        rate,
+        acceleration,
+        auxiliary,
+        equations.force(x),
+    )
+    error = local_error(c, state.auxiliary, auxiliary)
+    largest = lambda v: jnp.sqrt(jnp.max(jnp.sum(lax.stop_gradient(v) ** 2, 1)))
+    turn = largest(increment[:, 3:])
+    info = StepInfo(
+        result=join(
+            solved.result, jnp.where(turn > jnp.pi, Result.ROTATION_TOO_LARGE, Result.SUCCESS)
+        ),
+        iterations=solved.iterations,
+        error_position=largest(error[:, :3]),
+        error_rotation=largest(error[:, 3:]),
+        growth_position=largest(increment[:, :3]),
+        growth_rotation=turn,
+        projection_loss=loss,
+    )
+    return new, info
