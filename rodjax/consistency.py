@@ -7,6 +7,7 @@ that begins during a run, is first order or fails without them.
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax import lax
 from jaxtyping import Array, Float
 
 from rodjax import balance, ends, inertia, rotations
@@ -107,8 +108,8 @@ def restart(scene: Scene, state: State) -> tuple[State, Float[Array, ""]]:
             right = right.at[index].set(row)
         pad = jnp.zeros_like(constraint[:1])
         b = jnp.concatenate([jnp.concatenate([pad, constraint]), right], 1)
-        x = blocks.solve(b)
-        x = x + blocks.solve(b - blocks.multiply(x[:, :, None])[:, :, 0])
+        refine = lambda _, x: x + blocks.solve(b - blocks.multiply(x[:, :, None])[:, :, 0])
+        x = lax.fori_loop(0, 2, refine, jnp.zeros_like(b))
         return jnp.concatenate([x[:, :3] * scales.length, x[:, 6:]], 1), x[1:, 3:6] * scales.force
 
     def constraint_rate(rate):
@@ -205,8 +206,7 @@ def _inertia_matrix(scene: Scene, state: State) -> Float[Array, "n+1 6 6"]:
             return -total_wrench(scene.loads, rod, moving)
     else:
         wrench = lambda rate: inertia.inertial_wrench(scene, at_rest, rate)
-    _, push = jax.linearize(wrench, zero)
-    matrix = jnp.stack([push(zero.at[:, k].set(1.0)) for k in range(6)], 2)
+    matrix = inertia.node_jacobian(wrench, zero)
     if rod.mass is None or rod.rotary_inertia is None:
         segment = jnp.trace(matrix[:, :3, :3], axis1=1, axis2=2) / 3 * rod.node_length**2 / 12
         angular = jnp.diagonal(matrix[:, 3:, 3:], axis1=1, axis2=2)

@@ -1,5 +1,6 @@
 """Inertia of the nodes: half of the mass and rotary inertia of either neighbouring element."""
 
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
@@ -42,3 +43,9 @@ def kinetic_energy(scene, motion: NodeMotion) -> Float[Array, ""]:
         if added is not None:
             energy = energy + 0.5 * jnp.einsum("ni,nij,nj", motion.velocity, added, motion.velocity)
     return energy
+
+
+def node_jacobian(function, z: Float[Array, "n+1 6"]) -> Float[Array, "n+1 6 6"]:
+    """Derivative of a function whose rows depend on the same rows of z only."""
+    push = lambda direction: jax.jvp(function, (z,), (jnp.broadcast_to(direction, z.shape),))[1]
+    return jax.vmap(push, out_axes=2)(jnp.eye(6, dtype=z.dtype))

@@ -18,7 +18,15 @@ def _blend(squared, series, closed):
     """Power series below the threshold, closed form of the angle above it (both kept safe)."""
     small = squared < _SERIES_BELOW
     angle = jnp.sqrt(jnp.where(small, 1.0, squared))
-    return jnp.where(small, jnp.polyval(jnp.asarray(series, squared.dtype), squared), closed(angle))
+    return jnp.where(small, _polynomial(series, squared), closed(angle))
+
+
+def _polynomial(series, x):
+    """Horner's rule, highest power first (jnp.polyval unrolls a scan, slow to compile)."""
+    value = jnp.full_like(x, series[0])
+    for coefficient in series[1:]:
+        value = value * x + coefficient
+    return value
 
 
 # Series coefficients, highest power of the squared angle first (np.polyval's order).
@@ -151,7 +159,7 @@ def logarithm(q: Float[Array, "*b 4"]) -> Float[Array, "*b 3"]:
     sine = jnp.sqrt(jnp.where(small, 1.0, squared))
     # atan(t)/t with t = sine / cosine
     ratio = jnp.where(small, squared, 0.0) / jnp.where(small, w, 1.0) ** 2
-    series = jnp.polyval(jnp.asarray([(-1) ** k / (2 * k + 1) for k in range(7)][::-1], q.dtype), ratio)
+    series = _polynomial([(-1) ** k / (2 * k + 1) for k in range(7)][::-1], ratio)
     scale = jnp.where(small, 2 * series / jnp.where(small, w, 1.0), 2 * jnp.arctan2(sine, w) / sine)
     return scale * v
 

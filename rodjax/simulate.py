@@ -1,2 +1,345 @@
-"""Rollouts: over given steps by `lax.scan`, or with the step chosen by the local error."""
+"""Rollouts: over given times by `lax.scan`, or with the step chosen by the local error."""
 
+from collections.abc import Callable
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.core
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+from jaxtyping import Array, Bool, Float, Int
+
+from rodjax import results
+from rodjax.generalized_alpha import GeneralizedAlpha
+from rodjax.results import Result
+from rodjax.scene import Scene
+from rodjax.state import State
+from rodjax.step import StepInfo, step
+
+
+class Run(eqx.Module):
+    """A stored motion: the states saved, the first being the start, and what every step told.
+
+    `states` has a leading axis over the saved states, `infos` over the accepted steps. `control`
+    is the step control's memory of an adaptive run (None otherwise): with it, resuming continues
+    bit for bit.
+    """
+
+    states: State
+    infos: StepInfo
+    result: Int[Array, ""]
+    rejected: Int[Array, ""]
+    wasted_iterations: Int[Array, ""]
+    control: "Control | None" = None
+
+    @property
+    def times(self) -> Float[Array, " k"]:
+        """Times of the saved states."""
+        return self.states.time
+
+    @property
+    def final(self) -> State:
+        """The last state."""
+        return jax.tree.map(lambda leaf: leaf[-1], self.states)
+
+    def state(self, index: int) -> State:
+        """One saved state."""
+        return jax.tree.map(lambda leaf: leaf[index], self.states)
+
+    def nearest(self, time: float) -> State:
+        """The saved state nearest to a time."""
+        return self.state(int(np.argmin(np.abs(np.asarray(self.times) - time))))
+
+
+def _is_traced(*trees) -> bool:
+    leaves = jax.tree.leaves(trees)
+    return any(isinstance(leaf, jax.core.Tracer) for leaf in leaves)
+
+
+def rollout(
+    scene: Scene,
+    state: State,
+    times: Float[Array, " k"],
+    method: GeneralizedAlpha = GeneralizedAlpha(),  # noqa: B008 (immutable)
+    *,
+    save_every: int = 1,
+    throw: bool = True,
+) -> Run:
+    """Step from one given time to the next by `lax.scan`, saving by step index.
+
+    Args:
+        times: ends of the steps, increasing, the first after `state.time`. A time at which an
+            end's constraint changes must be among them (within 1e-6 of a step; it is then made
+            exact).
+        save_every: store every so many steps; the number of steps must be a multiple.
+        throw: raise `SimulationError` if a step fails. Either way the motion up to the failure
+            is in the result (the states after it repeat the last good one).
+
+    Differentiable in every array of scene, state, times and method, in forward and reverse mode;
+    the reverse pass recomputes blocks of `save_every` steps (checkpointing), so its memory is
+    that of the saved states plus one block.
+
+    Raises:
+        ValueError: times or schedules do not fit (checked outside traced code).
+        SimulationError: a step failed.
+    """
+    times = jnp.asarray(times, state.position.dtype)
+    if times.ndim != 1 or times.shape[0] < 1 or times.shape[0] % save_every:
+        raise ValueError(
+            f"save_every: {save_every} does not divide the {times.shape[0]} steps of `times`"
+        )
+    if not _is_traced(scene, state, times):
+        times = _check_times(scene, state, times)
+    run = _rollout(scene, state, times, method, save_every)
+    if throw:
+        if _is_traced(run.result):
+            message = "a step failed; call with throw=False and look at `result`"
+            run = eqx.error_if(run, run.result != Result.SUCCESS, message)
+        else:
+            done = run.times[-1] if run.result == 0 else jnp.max(run.times)
+            results.raise_if_failed(run.result, f"after t = {float(done):g}", run)
+    return run
+
+
+def _check_times(scene, state, times):
+    given = np.asarray(times)
+    steps = np.diff(np.concatenate([[float(state.time)], given]))
+    if not np.all(np.isfinite(given)) or np.any(steps <= 0):
+        raise ValueError("times: must be finite and increase from after the state's time")
+    scene.check_until(float(given[-1]))
+    for switch in scene.switch_times:
+        switch = float(switch)
+        if not float(state.time) < switch < given[-1]:
+            continue
+        nearest = int(np.argmin(np.abs(given - switch)))
+        if abs(given[nearest] - switch) > 1e-6 * steps[nearest]:
+            raise ValueError(
+                f"times: a constraint changes at {switch:g}, which must be one of the times"
+            )
+        given = given.copy()
+        given[nearest] = switch
+    return jnp.asarray(given, times.dtype)
+
+
+@eqx.filter_jit
+def _rollout(scene, state, times, method, save_every):
+    def one(carry, stop):
+        before, failed = carry
+        after, info = step(scene, before, stop, method)
+        code = results.join(failed, info.result)
+        good = code == Result.SUCCESS
+        after = jax.tree.map(lambda new, old: jnp.where(good, new, old), after, before)
+        return (after, code), info
+
+    @jax.checkpoint
+    def block(carry, stops):
+        carry, infos = lax.scan(one, carry, stops)
+        return carry, (carry[0], infos)
+
+    start = (state, jnp.asarray(0, jnp.int32))
+    (_, code), (states, infos) = lax.scan(block, start, times.reshape(-1, save_every))
+    states = jax.tree.map(lambda first, rest: jnp.concatenate([first[None], rest]), state, states)
+    infos = jax.tree.map(lambda leaf: leaf.reshape((-1, *leaf.shape[2:])), infos)
+    zero = jnp.asarray(0, jnp.int32)
+    return Run(states, infos, code, zero, zero)
+
+
+class StepControl(eqx.Module):
+    """How the adaptive rollout chooses its steps.
+
+    A step is accepted if its local error is at most `relative` times the step's own increment
+    plus a floor: for the displacement (floor `absolute` times the rod's length), for the bending
+    rotations and for the rotation about the tangent (floor `absolute` rad). Measuring against
+    the increment follows a growing mode from its imperfection on; measuring rotations sees a
+    straight rod about to buckle, whose ends move only in second order.
+
+    Args:
+        relative, absolute: tolerances.
+        first_step, max_step, min_step: [time]; max_step None means a hundredth of the run,
+            first_step None a tenth of max_step, min_step None 1e-9 of max_step.
+    """
+
+    relative: Float[Array, ""] = eqx.field(converter=lambda x: jnp.asarray(x, float), default=0.02)
+    absolute: Float[Array, ""] = eqx.field(converter=lambda x: jnp.asarray(x, float), default=1e-5)
+    max_step: float | Array | None = None
+    first_step: float | Array | None = None
+    min_step: float | Array | None = None
+
+    def __check_init__(self):
+        for name in ("relative", "absolute", "max_step", "first_step", "min_step"):
+            value = getattr(self, name)
+            if value is None or isinstance(value, jax.core.Tracer) or type(value) is object:
+                continue
+            if not np.all(np.asarray(value) > 0):
+                raise ValueError(f"{name}: must be positive, got {value}")
+
+
+class Control(NamedTuple):
+    """Memory of the step control."""
+
+    dt: Float[Array, ""]  # step to try next
+    growth: Float[Array, ""]  # how much it may grow after the next accepted step
+
+
+class _Limits(NamedTuple):
+    relative: Float[Array, ""]
+    absolute: Float[Array, ""]
+    max_step: Float[Array, ""]
+    min_step: Float[Array, ""]
+
+
+class _Chunk(NamedTuple):
+    """Carry of the adaptive loop; the buffers hold the accepted steps of one chunk."""
+
+    state: State
+    control: Control
+    states: State
+    infos: StepInfo
+    accepted: Int[Array, ""]
+    rejected: Int[Array, ""]
+    wasted: Int[Array, ""]
+    result: Int[Array, ""]
+    done: Bool[Array, ""]
+
+
+def adaptive_rollout(
+    scene: Scene,
+    state: State,
+    end_time: float,
+    method: GeneralizedAlpha = GeneralizedAlpha(),  # noqa: B008 (immutable)
+    control: StepControl = StepControl(),  # noqa: B008 (immutable)
+    *,
+    resume: Control | None = None,
+    max_steps: int = 100_000,
+    chunk: int = 50,
+    on_chunk: Callable[[State, StepInfo], None] | None = None,
+    throw: bool = True,
+) -> Run:
+    """Run to `end_time` with steps chosen by the local error; every accepted step is saved.
+
+    Steps end exactly on the times at which a constraint changes. The loop is compiled once and
+    called for `chunk` accepted steps at a time; `on_chunk(states, infos)` is called after each
+    with its accepted steps, for progress and storage. Not differentiable itself: replay
+    `run.times[1:]` by `rollout`, whose derivative is exact for that schedule.
+
+    Raises:
+        ValueError: a schedule of the scene ends before `end_time`, or a tolerance is out of
+            reach of the precision.
+        SimulationError: the run failed; its `.partial` is the run up to the failure.
+    """
+    dtype = state.position.dtype
+    span = float(end_time) - float(state.time)
+    if not span > 0:
+        raise ValueError(f"end_time: must lie after the state's time {float(state.time):g}")
+    scene.check_until(float(end_time))
+    method.check_precision(dtype)
+    as_array = lambda x: jnp.asarray(x, dtype)
+    max_step = as_array(span / 100 if control.max_step is None else control.max_step)
+    min_step = as_array(1e-9 * max_step if control.min_step is None else control.min_step)
+    first = 0.1 * max_step if control.first_step is None else control.first_step
+    limits = _Limits(as_array(control.relative), as_array(control.absolute), max_step, min_step)
+    memory = resume or Control(as_array(first), as_array(2.0))
+    memory = Control(*(as_array(x) for x in memory))
+
+    pieces: list[tuple[State, StepInfo]] = []
+    rejected = wasted = accepted = 0
+    current, code, done = state, Result.SUCCESS, False
+    while not done:
+        out = _adaptive_chunk(
+            scene, current, memory, as_array(end_time), method, limits, min(chunk, max_steps)
+        )
+        count = int(out.accepted)
+        current, memory = out.state, out.control
+        states, infos = jax.tree.map(lambda leaf: np.asarray(leaf[:count]), (out.states, out.infos))
+        pieces.append((states, infos))
+        accepted += count
+        rejected += int(out.rejected)
+        wasted += int(out.wasted)
+        code, done = Result(int(out.result)), bool(out.done)
+        if not done and accepted >= max_steps:
+            code, done = Result.MAX_STEPS, True
+        if on_chunk is not None and count:
+            on_chunk(states, infos)
+    joined = jax.tree.map(lambda *parts: jnp.asarray(np.concatenate(parts)), *pieces)
+    states = jax.tree.map(lambda a, b: jnp.concatenate([a[None], b]), state, joined[0])
+    as_int = lambda x: jnp.asarray(x, jnp.int32)
+    run = Run(states, joined[1], as_int(code), as_int(rejected), as_int(wasted), memory)
+    if throw:
+        results.raise_if_failed(code, f"after t = {float(current.time):g}", run)
+    return run
+
+
+@eqx.filter_jit
+def _adaptive_chunk(scene, state, control, end_time, method, limits, size):
+    info_shape = eqx.filter_eval_shape(step, scene, state, end_time, method)[1]
+    empty = lambda leaf: jnp.zeros((size, *leaf.shape), leaf.dtype)
+    marks = jnp.stack([*scene.switch_times, end_time]).astype(end_time.dtype)
+    length = jnp.sum(scene.rod.length)
+
+    def attempt(loop: _Chunk) -> _Chunk:
+        now, dt = loop.state.time, loop.control.dt
+        # land on the next mark, without leaving a sliver of a step before it
+        mark = jnp.min(jnp.where(marks > now, marks, jnp.inf))
+        left = mark - now
+        dt = jnp.where(left < 2 * dt, jnp.where(left < 1.01 * dt, left, 0.5 * left), dt)
+        stop = jnp.where(left <= 1.0001 * dt, mark, now + dt)
+        new, info = step(scene, loop.state, stop, method)
+        failed = info.result != Result.SUCCESS
+        allowed = lambda growth, floor: limits.relative * growth + limits.absolute * floor
+        error = jnp.maximum(
+            info.error_position / allowed(info.growth_position, length),
+            jnp.maximum(
+                info.error_bending / allowed(info.growth_bending, 1.0),
+                info.error_twisting / allowed(info.growth_twisting, 0.05 / limits.absolute),
+            ),
+        )
+        error = jnp.where(failed, 8.0, jnp.maximum(error, 1e-6))
+        accept = ~failed & (error <= 1.0)
+        factor = jnp.clip(0.85 * error ** (-1 / 3), 0.25, loop.control.growth)
+        # many iterations: near the limit of what Newton can do, so do not ask for more
+        factor = jnp.where(info.iterations > 8, jnp.minimum(factor, 0.8), factor)
+        # a dead band: every jump of the step makes forces first order for a while
+        factor = jnp.where(accept & (factor > 0.9) & (factor < 1.2), 1.0, factor)
+        factor = jnp.where(accept, factor, jnp.minimum(factor, 0.7))
+        # growth is forbidden after a failure and given back gradually
+        growth = jnp.where(
+            failed, 1.0, jnp.where(accept, jnp.minimum(loop.control.growth * 1.06, 2.0), 1.2)
+        )
+        trial = jnp.where(accept & (stop == mark), jnp.maximum(dt, loop.control.dt), dt)
+        dt = jnp.minimum(trial * factor, limits.max_step)
+        too_small = ~accept & (dt < limits.min_step)
+        result = jnp.where(
+            too_small, jnp.where(failed, info.result, Result.STEP_TOO_SMALL), Result.SUCCESS
+        )
+        put = lambda buffer, value: buffer.at[
+            jnp.where(accept, loop.accepted, size)
+        ].set(value, mode="drop")
+        chosen = jax.tree.map(lambda a, b: jnp.where(accept, a, b), new, loop.state)
+        one = accept.astype(jnp.int32)
+        return _Chunk(
+            chosen,
+            Control(dt, growth.astype(dt.dtype)),
+            jax.tree.map(put, loop.states, new),
+            jax.tree.map(put, loop.infos, info),
+            loop.accepted + one,
+            loop.rejected + 1 - one,
+            loop.wasted + (1 - one) * info.iterations,
+            result.astype(jnp.int32),
+            (chosen.time >= end_time) | too_small,
+        )
+
+    zero = jnp.asarray(0, jnp.int32)
+    first = _Chunk(
+        state,
+        control,
+        jax.tree.map(empty, state),
+        jax.tree.map(empty, info_shape),
+        zero,
+        zero,
+        zero,
+        zero,
+        state.time >= end_time,
+    )
+    return lax.while_loop(lambda loop: ~loop.done & (loop.accepted < size), attempt, first)

@@ -19,7 +19,7 @@ from rodjax.generalized_alpha import (
     predicted_increment,
 )
 from rodjax.consistency import restart
-from rodjax.inertia import inertial_wrench
+from rodjax.inertia import inertial_wrench, node_jacobian
 from rodjax.loads import NodeMotion, total_wrench
 from rodjax.results import Result, join
 from rodjax.scene import Scene, projectors
@@ -32,9 +32,11 @@ class StepInfo(NamedTuple):
     result: Int[Array, ""]
     iterations: Int[Array, ""]
     error_position: Float[Array, ""]  # largest local error of a displacement [m]
-    error_rotation: Float[Array, ""]  # and of a rotation [rad]
+    error_bending: Float[Array, ""]  # of a rotation of the tangent [rad]
+    error_twisting: Float[Array, ""]  # and of a rotation about it [rad]
     growth_position: Float[Array, ""]  # largest displacement of the step [m]
-    growth_rotation: Float[Array, ""]  # and rotation [rad]
+    growth_bending: Float[Array, ""]  # rotation of a tangent [rad]
+    growth_twisting: Float[Array, ""]  # rotation about one [rad]
     projection_loss: Float[Array, ""]  # kinetic energy lost where a constraint began [J]
 
 
@@ -223,10 +225,7 @@ def node_tangent(scene, motion, acceleration, turn, by_velocity, by_acceleration
             total = total - total_wrench(scene.loads, scene.rod, moved)
         return total
 
-    zero = jnp.zeros((scene.rod.elements + 1, 6), dtype)
-    _, push = jax.linearize(wrench, zero)
-    columns = [push(zero.at[:, k].set(1.0)) for k in range(6)]
-    return jnp.stack(columns, 2)
+    return node_jacobian(wrench, jnp.zeros((scene.rod.elements + 1, 6), dtype))
 
 
 def step(
@@ -267,16 +266,20 @@ def step(
     )
     error = local_error(c, state.auxiliary, auxiliary)
     largest = lambda v: jnp.sqrt(jnp.max(jnp.sum(lax.stop_gradient(v) ** 2, 1)))
-    turn = largest(increment[:, 3:])
     info = StepInfo(
         result=join(
-            solved.result, jnp.where(turn > jnp.pi, Result.ROTATION_TOO_LARGE, Result.SUCCESS)
+            solved.result,
+            jnp.where(
+                largest(increment[:, 3:]) > jnp.pi, Result.ROTATION_TOO_LARGE, Result.SUCCESS
+            ),
         ),
         iterations=solved.iterations,
         error_position=largest(error[:, :3]),
-        error_rotation=largest(error[:, 3:]),
+        error_bending=largest(error[:, 3:5]),
+        error_twisting=largest(error[:, 5:]),
         growth_position=largest(increment[:, :3]),
-        growth_rotation=turn,
+        growth_bending=largest(increment[:, 3:5]),
+        growth_twisting=largest(increment[:, 5:]),
         projection_loss=loss,
     )
     return new, info

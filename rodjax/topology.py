@@ -14,6 +14,8 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float
 
+from rodjax import rotations
+
 _BLOCK_PAIRS = 1 << 15
 """Segment pairs handled at once: 0.25 MB for each temporary in double precision."""
 
@@ -32,7 +34,7 @@ def writhe(
     evaluated in closed form for each pair of straight segments, where it is the signed solid angle
     under which one sees the other (Klenin & Langowski 2000, Biopolymers 54, 307), here in the
     arctan2 form of Van Oosterom & Strackee (1983), which keeps its digits for nearly collinear
-    segments. Work grows as nodes^2, memory as nodes. Derivatives cost only O(nodes).
+    segments. Work grows as nodes^2, memory as nodes; the derivatives cost only O(nodes).
 
     An open curve is extended straight at both ends, by default to infinity. Extensions of finite
     length change the result by about (polygon length / extension), or by its square if the two
@@ -63,9 +65,8 @@ def writhe(
     end = edges[-1] / jnp.linalg.norm(edges[-1]) if end_direction is None else end_direction
     infinite = _sum_over_extensions(vertices, start, end, jnp.zeros_like(vertices[0, 0]))
     pairs = _sum_over_pairs(vertices[:-1], vertices[1:])
-    result = _with_local_derivative(
-        (pairs + infinite) / jnp.pi, jnp.concatenate([start[None, :], edges, end[None, :]])
-    )
+    round_trip = jnp.concatenate([start[None, :], edges, end[None, :], start[None, :]])
+    result = _with_local_derivative((pairs + infinite) / jnp.pi, round_trip)
     if extension is not None:
         inverse = jnp.sum(jnp.linalg.norm(edges, axis=1)) / extension
         result += (_sum_over_extensions(vertices, start, end, inverse) - infinite) / jnp.pi
@@ -100,10 +101,10 @@ def twist(
     frames, directions = [element_frames], [positions[1:] - positions[:-1]]
     if start_frame is not None:
         frames.insert(0, start_frame[None, :])
-        directions.insert(0, _third_axis(start_frame)[None, :])
+        directions.insert(0, rotations.tangent_director(start_frame)[None, :])
     if end_frame is not None:
         frames.append(end_frame[None, :])
-        directions.append(_third_axis(end_frame)[None, :])
+        directions.append(rotations.tangent_director(end_frame)[None, :])
     return _ribbon_twist(jnp.concatenate(directions), jnp.concatenate(frames))
 
 
@@ -137,23 +138,14 @@ def linking_number(
     only when these frames turn or when a strand passes through another (Fuller 1971, White 1969).
     For infinite extensions this holds to round-off at any number of nodes.
 
-    Args:
-        positions: nodes [m], consecutive ones distinct.
-        element_frames: unit quaternions of the elements, see `twist`.
-        start_frame: unit quaternion of the first node; without it the extension follows the first
-            segment.
-        end_frame: unit quaternion of the last node; without it the extension follows the last
-            segment.
-        extension: length of each extension [m]; None is infinite, see `writhe`.
-
-    Returns:
-        Linking number [turns].
+    Arguments as in `twist` and `writhe`; without an end frame the extension at that end follows the
+    first or last segment. Returns the linking number [turns].
     """
     coiling = writhe(
         positions,
         extension=extension,
-        start_direction=None if start_frame is None else _third_axis(start_frame),
-        end_direction=None if end_frame is None else _third_axis(end_frame),
+        start_direction=None if start_frame is None else rotations.tangent_director(start_frame),
+        end_direction=None if end_frame is None else rotations.tangent_director(end_frame),
     )
     return twist(positions, element_frames, start_frame=start_frame, end_frame=end_frame) + coiling
 
@@ -217,29 +209,25 @@ def _sum_over_extensions(
     end: Float[Array, "3"],
     inverse: Float[Array, ""],
 ) -> Float[Array, ""]:
-    """The same sum over the pairs with an extension in them; `inverse` is 1 / length, or 0."""
-    reverse = _sum_over_extension(vertices[::-1], -end, inverse, None)
-    return _sum_over_extension(vertices, start, inverse, end) + reverse
+    """The same sum over the pairs with an extension in them; `inverse` is 1 / length, or 0.
 
-
-def _sum_over_extension(vertices, direction, inverse, other) -> Float[Array, ""]:
-    """Pairs of the extension before the first vertex with the segments and the `other` extension.
-
-    The vectors from its far end are divided by its length.
+    Vectors from a far end are divided by the length of the extension, so none is large.
     """
-    near = vertices - vertices[:1]
-    far = direction[None, :] + inverse * near
-    after_near, after_far, edges = near[1:], far[1:], near[1:] - near[:-1]
-    if other is None:
-        near, far = near[:-1], far[:-1]
-    else:
-        other = other[None, :]
-        after_near = jnp.concatenate([after_near, other + inverse * near[-1:]])
-        after_far = jnp.concatenate([after_far, other + far[-1:]])
-        edges = jnp.concatenate([edges, other])
-    triple = _triple(near.T, edges.T, direction[:, None])
-    a, b, c, d = far.T, after_far.T, after_near.T, near.T
-    return jnp.sum(_half_solid_angle(a, b, c, d, inverse * triple, triple))
+
+    def pairs(near, direction, edges, after_near, after_far):
+        a, b, c, d = (direction[None, :] + inverse * near).T, after_far.T, after_near.T, near.T
+        triple = _triple(d, edges.T, direction[:, None])
+        return jnp.sum(_half_solid_angle(a, b, c, d, inverse * triple, triple))
+
+    near = vertices - vertices[:1]  # seen from the start, with the end's extension as last segment
+    far = start[None, :] + inverse * near
+    edges = jnp.concatenate([near[1:] - near[:-1], end[None, :]])
+    after_near = jnp.concatenate([near[1:], end[None, :] + inverse * near[-1:]])
+    after_far = jnp.concatenate([far[1:], end[None, :] + far[-1:]])
+    total = pairs(near, start, edges, after_near, after_far)
+    near = (vertices - vertices[-1:])[::-1]  # the reversed curve has the same writhe
+    far = -end[None, :] + inverse * near
+    return total + pairs(near[:-1], -end, near[1:] - near[:-1], near[1:], far[1:])
 
 
 def _half_solid_angle(a, b, c, d, triple_abc: Array, triple_acd: Array) -> Array:
@@ -265,11 +253,11 @@ def _half_solid_angle(a, b, c, d, triple_abc: Array, triple_acd: Array) -> Array
 def _with_local_derivative(
     value: Float[Array, ""], directions: Float[Array, "n 3"]
 ) -> Float[Array, ""]:
-    """The writhe, with its derivative from the directions of the segments and extensions alone.
+    """The writhe, with its derivative taken from the directions of segments and extensions alone.
 
-    For any frames along the curve Tw + Wr is constant nearby (the ends being carried along), so
-    that dWr = -dTw, a sum over the vertices (Fuller 1978, PNAS 75, 3557). As that holds for finite
-    changes too, higher derivatives are right as well.
+    The directions go round: the first one comes again at the end. For frames carried along with the
+    curve Tw + Wr does not change, so that dWr = -dTw, a sum over the vertices (compare Fuller 1978,
+    PNAS 75, 3557). As this holds for finite changes too, higher derivatives are right as well.
     """
     del directions
     return value
@@ -278,10 +266,9 @@ def _with_local_derivative(
 @_with_local_derivative.defjvp
 def _(primals, tangents):
     value, directions = primals
-    upward = directions[:, 2:] >= 0  # start from the nearer one of the frames along e3 and -e3
-    reference = jnp.where(upward, jnp.eye(4)[:1], jnp.eye(4)[1:2]).astype(directions.dtype)
-    frames = lax.stop_gradient(_align(reference, directions))
-    frames = frames / jnp.linalg.norm(frames, axis=1, keepdims=True)
+    identity, half_turn = jnp.eye(4, dtype=directions.dtype)[:2]  # third axes e3 and -e3
+    nearer = jnp.where(directions[:, 2:] >= 0, identity[None, :], half_turn[None, :])
+    frames = lax.stop_gradient(_align(nearer, directions))
     twist_change = jax.jvp(lambda d: _ribbon_twist(d, frames), (directions,), (tangents[1],))[1]
     return value, -twist_change
 
@@ -289,42 +276,23 @@ def _(primals, tangents):
 def _ribbon_twist(directions: Float[Array, "n 3"], frames: Float[Array, "n 4"]) -> Float[Array, ""]:
     """Twist [turns] of frames, each first put on its direction, between consecutive directions.
 
-    The quaternion (w, x, y, z) of conj(frame_i) frame_(i+1) is the product of the smallest rotation
-    that aligns the third axes and a rotation about it by 2 arctan2(z, w).
+    The relative rotation (w, x, y, z) of two frames is the smallest rotation that aligns their
+    third axes times a rotation about the third axis by 2 arctan2(z, w).
     """
     frames = _align(frames, directions)
-    w1, x1, y1, z1 = frames[:-1].T
-    w2, x2, y2, z2 = frames[1:].T
-    w = w1 * w2 + x1 * x2 + y1 * y2 + z1 * z2
-    z = w1 * z2 - z1 * w2 - x1 * y2 + y1 * x2
-    flip = w < 0
-    return jnp.sum(jnp.arctan2(jnp.where(flip, -z, z), jnp.where(flip, -w, w))) / jnp.pi
+    w, _, _, z = rotations.multiply(rotations.conjugate(frames[:-1]), frames[1:]).T
+    flip, regular = w < 0, (w != 0) | (z != 0)  # either sign is the same rotation
+    angles = jnp.arctan2(jnp.where(flip, -z, z), jnp.where(regular, jnp.where(flip, -w, w), 1.0))
+    return jnp.sum(angles) / jnp.pi
 
 
 def _align(frames: Float[Array, "n 4"], directions: Float[Array, "n 3"]) -> Float[Array, "n 4"]:
-    """Frames turned by the smallest rotation that puts their third axes along the directions.
-
-    The quaternions returned are not normalised: only ratios of their components are used.
-    """
-    w, x, y, z = frames.T
-    ax, ay, az = _third_axis(frames).T
-    tx, ty, tz = (directions / jnp.linalg.norm(directions, axis=1, keepdims=True)).T
-    cosine = 1 + ax * tx + ay * ty + az * tz
-    rx, ry, rz = ay * tz - az * ty, az * tx - ax * tz, ax * ty - ay * tx
-    product = (
-        cosine * w - rx * x - ry * y - rz * z,
-        cosine * x + rx * w + ry * z - rz * y,
-        cosine * y + ry * w + rz * x - rx * z,
-        cosine * z + rz * w + rx * y - ry * x,
-    )
-    return jnp.stack(product, axis=1)
-
-
-def _third_axis(frames: Float[Array, "*n 4"]) -> Float[Array, "*n 3"]:
-    w, x, y, z = (frames[..., k] for k in range(4))
-    return jnp.stack(
-        [2 * (x * z + w * y), 2 * (y * z - w * x), w * w - x * x - y * y + z * z], axis=-1
-    )
+    """Frames turned by the smallest rotation that puts their third axes along the directions."""
+    axes = rotations.tangent_director(frames)
+    targets = directions / jnp.linalg.norm(directions, axis=1, keepdims=True)
+    cosine = jnp.sum(axes * targets, axis=1, keepdims=True)
+    smallest = jnp.concatenate([1 + cosine, jnp.cross(axes, targets)], axis=1)
+    return rotations.multiply(rotations.normalize(smallest), frames)
 
 
 def _difference(u, v):
