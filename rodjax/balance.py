@@ -31,8 +31,8 @@ from rodjax.strains import Strains, strains
 class Internal(NamedTuple):
     """Internal wrenches to be balanced at the nodes, and the constraint of the elements."""
 
-    force: Float[Array, "n+1 3"]  # inertial components [N]
-    moment: Float[Array, "n+1 3"]  # body components [N m]
+    force: Float[Array, "nodes 3"]  # inertial components [N]
+    moment: Float[Array, "nodes 3"]  # body components [N m]
     constraint: Float[Array, "n 3"]  # gamma - e3 - compliance f
 
 
@@ -60,8 +60,8 @@ def constraint(rod: Rod, stretch: Float[Array, "n 3"], force: Float[Array, "n 3"
 
 def internal(
     rod: Rod,
-    position: Float[Array, "n+1 3"],
-    quaternion: Float[Array, "n+1 4"],
+    position: Float[Array, "nodes 3"],
+    quaternion: Float[Array, "nodes 4"],
     force: Float[Array, "n 3"],
 ) -> Internal:
     """Internal nodal wrenches and the constraint of a configuration with internal force f."""
@@ -82,7 +82,7 @@ def internal(
     )
 
 
-def scatter(first: Float[Array, "n *k"], second: Float[Array, "n *k"]) -> Float[Array, "n+1 *k"]:
+def scatter(first: Float[Array, "n *k"], second: Float[Array, "n *k"]) -> Float[Array, "nodes *k"]:
     """Sum of element contributions to their first and second nodes."""
     zero = jnp.zeros_like(first[:1])
     return jnp.concatenate([first, zero]) + jnp.concatenate([zero, second])
@@ -120,8 +120,8 @@ def constraint_tangent(rod: Rod, kinematics: Strains) -> ElementTangent:
 
 def element_tangent(
     rod: Rod,
-    position: Float[Array, "n+1 3"],
-    quaternion: Float[Array, "n+1 4"],
+    position: Float[Array, "nodes 3"],
+    quaternion: Float[Array, "nodes 4"],
     force: Float[Array, "n 3"],
 ) -> ElementTangent:
     """Exact derivative of `internal`, element by element."""
@@ -140,10 +140,9 @@ def element_tangent(
     a, spin = _kinematic_maps(kinematics)
     once = jnp.cross(phi, q)
     twice = jnp.cross(phi, once)
-    slope = (
-        rotations.inverse_tangent_slope(squared)[:, :, 0] * twice
-        - rotations.midframe_slope(squared)[:, :, 0] * jnp.cross(phi, w)
-    )
+    slope = rotations.inverse_tangent_slope(squared)[:, :, 0] * twice - rotations.midframe_slope(
+        squared
+    )[:, :, 0] * jnp.cross(phi, w)
     # derivative by phi of the parts that enter the two nodes with opposite signs ...
     opposite = (
         -rotations.inverse_tangent_coefficient(squared) * (hat(once) + outer(q, phi) - dot(q, phi))
@@ -153,7 +152,9 @@ def element_tangent(
     # ... and of -hat(phi) q / 2, which enters both alike
     alike = 0.5 * hat(q)
     bend = (rod.stiffness / rod.length[:, None])[:, None, :]
-    by_phi = jnp.concatenate([alike - opposite - a * bend, alike + opposite + transpose(a) * bend], 1)
+    by_phi = jnp.concatenate(
+        [alike - opposite - a * bend, alike + opposite + transpose(a) * bend], 1
+    )
     phi_spin = jnp.concatenate([-transpose(a), a], 2)
     force_skew = hat(force)
     constraint_spin = hat(gamma) @ spin
@@ -180,7 +181,7 @@ class Scales(NamedTuple):
 def assemble(
     rod: Rod,
     tangent: ElementTangent,
-    node: Float[Array, "n+1 6 6"],
+    node: Float[Array, "nodes 6 6"],
     projectors: tuple[Float[Array, "6 6"], Float[Array, "6 6"]],
     scales: Scales,
 ) -> BlockTridiagonal:

@@ -13,7 +13,7 @@ from jaxtyping import Array, Float
 class BlockTridiagonal(eqx.Module):
     """The matrix with `lower[i]`, `diagonal[i]`, `upper[i]` in block columns i-1, i, i+1.
 
-    `lower[0]` and `upper[-1]` are not read.
+    `lower[0]` and `upper[-1]` have no influence, but must be finite.
     """
 
     lower: Float[Array, "n b b"]

@@ -5,12 +5,13 @@ that begins during a run, is first order or fails without them.
 """
 
 import jax
+import jax.core
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
 from jaxtyping import Array, Float
 
-from rodjax import balance, ends, inertia, rotations
+from rodjax import balance, contact, ends, inertia, rotations
 from rodjax.balance import Scales
 from rodjax.block_tridiagonal import BlockTridiagonal
 from rodjax.loads import NodeMotion, total_wrench
@@ -22,10 +23,10 @@ from rodjax.strains import strains
 def start(
     scene: Scene,
     *,
-    position: Float[Array, "n+1 3"] | None = None,
-    quaternion: Float[Array, "n+1 4"] | None = None,
-    velocity: Float[Array, "n+1 3"] | None = None,
-    angular_velocity: Float[Array, "n+1 3"] | None = None,
+    position: Float[Array, "nodes 3"] | None = None,
+    quaternion: Float[Array, "nodes 4"] | None = None,
+    velocity: Float[Array, "nodes 3"] | None = None,
+    angular_velocity: Float[Array, "nodes 3"] | None = None,
     time: float | Float[Array, ""] = 0.0,
 ) -> State:
     """Consistent state at the start of a run.
@@ -64,7 +65,8 @@ def start(
     if rod.compliance is not None:
         gap = jnp.where(rod.compliance > 0, 0.0, gap)
     tolerance = 1e3 * float(jnp.finfo(dtype).eps) * nodes
-    if not isinstance(gap, jax.core.Tracer) and np.max(np.abs(gap)) > tolerance:
+    # negated, so that a frame of zero length (not a number here) is an error too
+    if not isinstance(gap, jax.core.Tracer) and not np.max(np.abs(gap)) <= tolerance:
         raise ValueError(
             f"position: stretched or sheared by {float(jnp.max(jnp.abs(gap))):.2g} at most, but the"
             " rod is inextensible: place nodes at rest length along the element frames"
@@ -128,9 +130,7 @@ def restart(scene: Scene, state: State) -> tuple[State, Float[Array, ""]]:
         ends.rates(end, state.time, state.quaternion[index])
         for index, end in zip((0, -1), scene.ends, strict=True)
     ]
-    internal = balance.internal(
-        rod, state.position, state.quaternion, jnp.zeros_like(state.force)
-    )
+    internal = balance.internal(rod, state.position, state.quaternion, jnp.zeros_like(state.force))
     elastic = jnp.concatenate([internal.force, internal.moment], 1)
     motion = NodeMotion(
         state.time, state.position, state.quaternion, state.velocity, state.angular_velocity
@@ -164,6 +164,11 @@ def restart(scene: Scene, state: State) -> tuple[State, Float[Array, ""]]:
     wrench = -elastic - inertia.inertial_wrench(scene, motion, jnp.zeros_like(rate))
     if scene.loads:
         wrench = wrench + total_wrench(scene.loads, rod, motion)
+    if scene.contact is not None:
+        pushed = contact.report(
+            scene.contact, rod, state.position, state.quaternion, motion.velocity
+        ).force
+        wrench = wrench.at[:, :3].add(pushed)
     right = jnp.where(rigid > 0, -constraint_rate(rate)[1], given / scales.force)
     acceleration, force = solve(wrench, right, (motions[0][1], motions[1][1]))
     new = State(
@@ -184,7 +189,7 @@ def _release(blocks: BlockTridiagonal, rigid: Float[Array, "n 3"]) -> BlockTridi
     )
 
 
-def _inertia_matrix(scene: Scene, state: State) -> Float[Array, "n+1 6 6"]:
+def _inertia_matrix(scene: Scene, state: State) -> Float[Array, "nodes 6 6"]:
     """Mass matrix of the nodes; for a rod without inertia the matrix of its linear drag.
 
     Where rotations have no inertia (or drag) of their own they get that of a short segment,

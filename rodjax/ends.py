@@ -34,6 +34,11 @@ class Turn(eqx.Module):
     axis: Float[Array, "3"] = eqx.field(converter=_unit)
     angle: AbstractSchedule
 
+    def __check_init__(self):
+        shape = jnp.shape(self.angle(jnp.zeros(())))
+        if shape != ():
+            raise ValueError(f"angle: the schedule must give one number, got shape {shape}")
+
     def __call__(self, time):
         return self.angle(time) * self.axis
 
@@ -139,7 +144,9 @@ class Switched(AbstractEnd):
     def __check_init__(self):
         parts = (self.before, self.after)
         if any(p.displacement is not None or p.rotation is not None for p in parts):
-            raise ValueError("before, after: give the schedules to Switched itself, not to its parts")
+            raise ValueError(
+                "before, after: give the schedules to Switched itself, not to its parts"
+            )
         if any(isinstance(p, Switched) for p in parts[:1]):
             raise ValueError("before: nest a further switch in `after`")
 

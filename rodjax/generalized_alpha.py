@@ -41,17 +41,17 @@ class GeneralizedAlpha(eqx.Module):
 
     def __check_init__(self):
         rho = self.spectral_radius
-        if hasattr(rho, "shape") and not isinstance(rho, jax.core.Tracer):
-            if np.any(np.asarray(rho) >= 1) or np.any(np.asarray(rho) < 0):
-                raise ValueError(
-                    f"spectral_radius: must be in [0, 1), got {rho}; at 1 the constraint forces of"
-                    " the inextensible rod and its ends are not stable (index 3)"
-                )
+        known = hasattr(rho, "shape") and not isinstance(rho, jax.core.Tracer)
+        if known and not (np.all(np.asarray(rho) >= 0) and np.all(np.asarray(rho) < 1)):
+            raise ValueError(
+                f"spectral_radius: must be in [0, 1), got {rho}; at 1 the constraint forces of"
+                " the inextensible rod and its ends are not stable (index 3)"
+            )
         checks = (("tolerance", self.tolerance), ("max_iterations", self.max_iterations))
         for name, value in checks:
             if value is None or isinstance(value, jax.core.Tracer) or not hasattr(value, "shape"):
                 continue
-            if np.any(np.asarray(value) <= 0):
+            if not np.all(np.asarray(value) > 0):
                 raise ValueError(f"{name}: must be positive, got {value}")
 
     def check_precision(self, dtype) -> None:

@@ -7,15 +7,15 @@ from jaxtyping import Array, Float
 from rodjax.loads import NodeMotion
 
 
-def node_inertia(rod) -> tuple[Float[Array, " n+1"], Float[Array, "n+1 3"] | None]:
+def node_inertia(rod) -> tuple[Float[Array, " nodes"], Float[Array, "nodes 3"] | None]:
     """Mass [kg] and principal rotary inertia [kg m^2] of the nodes."""
     rotary = None if rod.rotary_inertia is None else rod.to_nodes(rod.rotary_inertia)
     return rod.to_nodes(rod.mass), rotary
 
 
 def inertial_wrench(
-    scene, motion: NodeMotion, acceleration: Float[Array, "n+1 6"]
-) -> Float[Array, "n+1 6"]:
+    scene, motion: NodeMotion, acceleration: Float[Array, "nodes 6"]
+) -> Float[Array, "nodes 6"]:
     """Mass times acceleration and, in the body frame, I omega' + omega x I omega."""
     mass, rotary = node_inertia(scene.rod)
     linear = mass[:, None] * acceleration[:, :3]
@@ -45,7 +45,7 @@ def kinetic_energy(scene, motion: NodeMotion) -> Float[Array, ""]:
     return energy
 
 
-def node_jacobian(function, z: Float[Array, "n+1 6"]) -> Float[Array, "n+1 6 6"]:
+def node_jacobian(function, z: Float[Array, "nodes 6"]) -> Float[Array, "nodes 6 6"]:
     """Derivative of a function whose rows depend on the same rows of z only."""
     push = lambda direction: jax.jvp(function, (z,), (jnp.broadcast_to(direction, z.shape),))[1]
     return jax.vmap(push, out_axes=2)(jnp.eye(6, dtype=z.dtype))

@@ -5,6 +5,8 @@ one 6x6 block a node. A scene holds a tuple of loads; they are summed.
 """
 
 import abc
+import functools
+import operator
 from collections.abc import Callable
 from typing import NamedTuple
 
@@ -24,10 +26,10 @@ class NodeMotion(NamedTuple):
     """Configuration and rates of the nodes that a load sees."""
 
     time: Float[Array, ""]
-    position: Float[Array, "n+1 3"]
-    quaternion: Float[Array, "n+1 4"]
-    velocity: Float[Array, "n+1 3"]  # inertial components
-    angular_velocity: Float[Array, "n+1 3"]  # body components
+    position: Float[Array, "nodes 3"]
+    quaternion: Float[Array, "nodes 4"]
+    velocity: Float[Array, "nodes 3"]  # inertial components
+    angular_velocity: Float[Array, "nodes 3"]  # body components
 
 
 def _as_float(value):
@@ -35,30 +37,48 @@ def _as_float(value):
 
 
 def _check_not_negative(**values):
+    """One finite number >= 0 each (or None)."""
     for name, value in values.items():
-        if not isinstance(value, jax.core.Tracer) and hasattr(value, "shape"):
-            if not np.all(np.isfinite(value)) or np.any(np.asarray(value) < 0):
-                raise ValueError(f"{name}: must be finite and not negative, got {value}")
+        if not hasattr(value, "shape"):
+            continue
+        if value.shape != ():
+            raise ValueError(f"{name}: must be one number, got shape {value.shape}")
+        if not isinstance(value, jax.core.Tracer) and not (np.isfinite(value) and value >= 0):
+            raise ValueError(f"{name}: must be finite and not negative, got {value}")
+
+
+def _check_vector(**values):
+    """Three finite components each (or None)."""
+    for name, value in values.items():
+        if not hasattr(value, "shape"):
+            continue
+        if value.shape != (3,):
+            raise ValueError(f"{name}: must have three components, got shape {value.shape}")
+        if not isinstance(value, jax.core.Tracer) and not np.all(np.isfinite(value)):
+            raise ValueError(f"{name}: must be finite, got {value}")
 
 
 class AbstractLoad(eqx.Module):
     """A load on the nodes."""
 
     @abc.abstractmethod
-    def wrench(self, rod: Rod, motion: NodeMotion) -> Float[Array, "n+1 6"]:
+    def wrench(self, rod: Rod, motion: NodeMotion) -> Float[Array, "nodes 6"]:
         """Force (inertial) [N] and moment (body) [N m] on each node, from its own motion only."""
 
-    def check(self, rod: Rod) -> None:  # noqa: B027 (optional)
+    def check(self, rod: Rod) -> None:
         """Raise ValueError where the rod lacks what the load needs."""
 
-    def added_mass(self, rod: Rod, motion: NodeMotion) -> Float[Array, "n+1 3 3"] | None:
+    def added_mass(self, rod: Rod, motion: NodeMotion) -> Float[Array, "nodes 3 3"] | None:
         """Mass matrix of the nodes that the load adds (inertial axes), or None."""
         return None
 
 
-def _need(rod: Rod, name: str, load: str):
-    if getattr(rod, name) is None:
+def _need(rod: Rod, name: str, load: str) -> Float[Array, " n"]:
+    """A property that the rod may lack."""
+    value = getattr(rod, name)
+    if value is None:
         raise ValueError(f"{name}: {load} needs the rod's {name}; give it to the rod's section")
+    return value
 
 
 class Gravity(AbstractLoad):
@@ -69,14 +89,21 @@ class Gravity(AbstractLoad):
         converter=lambda x: None if x is None else _as_float(x), default=None
     )
 
+    def __check_init__(self):
+        _check_vector(acceleration=self.acceleration)
+        _check_not_negative(fluid_density=self.fluid_density)
+
     def check(self, rod):
         _need(rod, "mass", "Gravity")
         if self.fluid_density is not None:
             _need(rod, "area", "Gravity with buoyancy")
 
-    def weight(self, rod: Rod) -> Float[Array, "n+1 3"]:
+    def weight(self, rod: Rod) -> Float[Array, "nodes 3"]:
         """Weight of the nodes in the fluid [N]."""
-        density = rod.mass if self.fluid_density is None else rod.mass - self.fluid_density * rod.area
+        density = _need(rod, "mass", "Gravity")
+        if self.fluid_density is not None:
+            area = _need(rod, "area", "Gravity with buoyancy")
+            density = density - self.fluid_density * area
         return rod.to_nodes(density)[:, None] * self.acceleration
 
     def wrench(self, rod, motion):
@@ -108,7 +135,9 @@ class MorisonDrag(AbstractLoad):
             fluid_density=self.fluid_density,
             normal_coefficient=self.normal_coefficient,
             tangential_coefficient=self.tangential_coefficient,
+            added_mass_coefficient=self.added_mass_coefficient,
         )
+        _check_vector(current=self.current)
 
     def check(self, rod):
         _need(rod, "diameter", "MorisonDrag")
@@ -116,6 +145,7 @@ class MorisonDrag(AbstractLoad):
             _need(rod, "area", "MorisonDrag with added mass")
 
     def wrench(self, rod, motion):
+        diameter = _need(rod, "diameter", "MorisonDrag")
         velocity = motion.velocity if self.current is None else motion.velocity - self.current
         tangent = rotations.tangent_director(motion.quaternion)
         along = jnp.sum(velocity * tangent, 1, keepdims=True)
@@ -123,7 +153,7 @@ class MorisonDrag(AbstractLoad):
         squared = jnp.sum(across * across, 1, keepdims=True)
         resting = squared == 0
         speed = jnp.where(resting, 0.0, jnp.sqrt(jnp.where(resting, 1.0, squared)))
-        scale = 0.5 * self.fluid_density * rod.to_nodes(rod.diameter)[:, None]
+        scale = 0.5 * self.fluid_density * rod.to_nodes(diameter)[:, None]
         force = -scale * (
             self.normal_coefficient * speed * across
             + jnp.pi * self.tangential_coefficient * jnp.abs(along) * along * tangent
@@ -134,7 +164,8 @@ class MorisonDrag(AbstractLoad):
         if self.added_mass_coefficient is None:
             return None
         tangent = rotations.tangent_director(motion.quaternion)
-        amount = self.fluid_density * self.added_mass_coefficient * rod.to_nodes(rod.area)
+        area = _need(rod, "area", "MorisonDrag with added mass")
+        amount = self.fluid_density * self.added_mass_coefficient * rod.to_nodes(area)
         across = jnp.eye(3, dtype=tangent.dtype) - tangent[:, :, None] * tangent[:, None, :]
         return amount[:, None, None] * across
 
@@ -195,6 +226,11 @@ class PointLoad(AbstractLoad):
     moment: AbstractSchedule | None = None
     follower: bool = eqx.field(static=True, default=False)
 
+    def __check_init__(self):
+        for name, schedule in (("force", self.force), ("moment", self.moment)):
+            if schedule is not None and jnp.shape(schedule(jnp.zeros(()))) != (3,):
+                raise ValueError(f"{name}: the schedule must give three components")
+
     def check(self, rod):
         if not -rod.elements - 1 <= self.node <= rod.elements:
             raise ValueError(f"node: {self.node} is not one of the {rod.elements + 1} nodes")
@@ -214,6 +250,6 @@ class PointLoad(AbstractLoad):
 
 def total_wrench(
     loads: tuple[AbstractLoad, ...], rod: Rod, motion: NodeMotion
-) -> Float[Array, "n+1 6"]:
-    """Sum of the loads on the nodes."""
-    return sum(load.wrench(rod, motion) for load in loads)
+) -> Float[Array, "nodes 6"]:
+    """Sum of the loads on the nodes; there must be at least one."""
+    return functools.reduce(operator.add, (load.wrench(rod, motion) for load in loads))

@@ -2,8 +2,9 @@
 
 An equations object has
     residual(x) -> r                                  r = 0 is to be solved,
-    linearize(x) -> (r, system)                       system.solve(b), system.solve_transpose(b),
-                                                      system.multiply(b): the derivative by spins,
+    newton_increment(x) -> dx                         minus the derivative's inverse times r,
+    linearize(x) -> system                            system.solve(b), system.solve_transpose(b),
+                                                      system.multiply(b): the derivative at x,
     retract(x, dx) -> x                               applies the solved increment,
     lift(x, dx) -> d(x)                               the same to first order,
     limit(x, dx) -> scale in (0, 1]                   how much of the increment is safe,
@@ -46,8 +47,7 @@ def iterate(equations, x, tolerance, max_iterations) -> tuple[Any, NewtonInfo]:
     """
 
     def body(loop: _Loop) -> _Loop:
-        residual, system = equations.linearize(loop.x)
-        dx = system.solve(-residual)
+        dx = equations.newton_increment(loop.x)
         scale = equations.limit(loop.x, dx)
         full = equations.size(dx)
         contraction = jnp.where(loop.iterations > 0, full / loop.size, 1.0)
@@ -64,9 +64,7 @@ def iterate(equations, x, tolerance, max_iterations) -> tuple[Any, NewtonInfo]:
         )
 
     def unfinished(loop: _Loop):
-        return (
-            ~loop.converged & loop.finite & (loop.iterations < max_iterations) & (loop.slow < 4)
-        )
+        return ~loop.converged & loop.finite & (loop.iterations < max_iterations) & (loop.slow < 4)
 
     no = jnp.asarray(False)
     zero = jnp.asarray(0, jnp.int32)
@@ -95,7 +93,7 @@ def _solve_jvp(primals, tangents):
     if not any(leaf is not None for leaf in jax.tree.leaves(tangents[0])):
         return (x, info), (jnp.zeros_like(x), nothing)
     _, dr = eqx.filter_jvp(lambda e: e.residual(x), (equations,), (tangents[0],))
-    _, system = equations.linearize(x)
+    system = equations.linearize(x)
     dx = lax.custom_linear_solve(
         system.multiply,
         -dr,

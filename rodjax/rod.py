@@ -15,7 +15,9 @@ from jaxtyping import Array, Float
 
 from rodjax import rotations
 
-Property = float | np.ndarray | Array | Callable[[np.ndarray], np.ndarray]
+Number = float | int
+Vector = Sequence[Number] | np.ndarray | Array
+Property = Number | np.ndarray | Array | Callable[[np.ndarray], np.ndarray]
 
 
 class Rod(eqx.Module):
@@ -28,8 +30,8 @@ class Rod(eqx.Module):
     buoyancy and added mass.
     """
 
-    position: Float[Array, "n+1 3"]  # nodes of the initial placing [m]
-    quaternion: Float[Array, "n+1 4"]  # frames of the initial placing
+    position: Float[Array, "nodes 3"]  # nodes of the initial placing [m]
+    quaternion: Float[Array, "nodes 4"]  # frames of the initial placing
     length: Float[Array, " n"]  # ds at rest [m]
     stiffness: Float[Array, "n 3"]  # A1, A2, C [N m^2]
     natural_curvature: Float[Array, "n 3"]  # kappa0 in the body frame [1/m]
@@ -62,7 +64,9 @@ class Rod(eqx.Module):
             if value is None:
                 continue
             if tuple(value.shape) != shape:
-                raise ValueError(f"{name}: expected shape {shape} for {n} elements, got {value.shape}")
+                raise ValueError(
+                    f"{name}: expected shape {shape} for {n} elements, got {value.shape}"
+                )
             if isinstance(value, jax.core.Tracer):
                 continue
             if not np.all(np.isfinite(value)):
@@ -74,8 +78,12 @@ class Rod(eqx.Module):
                 )
             if name in ("rotary_inertia", "compliance") and np.any(value < 0):
                 raise ValueError(f"{name}: must not be negative; pass None to leave it out")
+            if name == "quaternion" and np.any(abs(np.linalg.norm(value, axis=1) - 1) > 1e-3):
+                raise ValueError("quaternion: must have unit length at every node")
         if self.mass is None and self.rotary_inertia is not None:
-            raise ValueError("rotary_inertia: a rod without mass has none; pass rotary_inertia=None")
+            raise ValueError(
+                "rotary_inertia: a rod without mass has none; pass rotary_inertia=None"
+            )
 
     @property
     def elements(self) -> int:
@@ -83,12 +91,12 @@ class Rod(eqx.Module):
         return self.length.shape[0]
 
     @property
-    def node_length(self) -> Float[Array, " n+1"]:
+    def node_length(self) -> Float[Array, " nodes"]:
         """Rest length that belongs to each node: half of each neighbouring element."""
         return self.to_nodes(jnp.ones_like(self.length))
 
     @property
-    def arc_length(self) -> Float[Array, " n+1"]:
+    def arc_length(self) -> Float[Array, " nodes"]:
         """Rest arc length s of the nodes."""
         return jnp.concatenate([jnp.zeros_like(self.length[:1]), jnp.cumsum(self.length)])
 
@@ -97,7 +105,7 @@ class Rod(eqx.Module):
         """Rest arc length s of the element centres."""
         return self.arc_length[:-1] + 0.5 * self.length
 
-    def to_nodes(self, density: Float[Array, "n *k"]) -> Float[Array, "n+1 *k"]:
+    def to_nodes(self, density: Float[Array, "n *k"]) -> Float[Array, "nodes *k"]:
         """Lump a quantity per length to the nodes: half of each element's amount at either end."""
         weight = self.length.reshape((-1,) + (1,) * (density.ndim - 1))
         half = 0.5 * weight * density
@@ -132,13 +140,13 @@ def sample(value: Property, midpoints: np.ndarray, name: str) -> Array:
 
 def circular_section(
     diameter: Property,
-    youngs_modulus: float | Array,
-    shear_modulus: float | Array,
-    density: float | Array | None,
+    youngs_modulus: Number | Array,
+    shear_modulus: Number | Array,
+    density: Number | Array | None,
     *,
     rotary_inertia: bool = True,
     extensible: bool = False,
-    shear_factor: float = 1.0,
+    shear_factor: Number = 1.0,
 ) -> Callable[[np.ndarray], Section]:
     """Solid circular section: A_c = pi D^2/4, A1 = A2 = E A_c D^2/16, C = G A_c D^2/8.
 
@@ -147,14 +155,15 @@ def circular_section(
     `extensible=True` adds the axial and shear compliances 1/(E A_c) and 1/(k G A_c), k the
     `shear_factor`. Source: Table 1 of Goyal, Perkins & Lee.
     """
-    for name, value in (("youngs_modulus", youngs_modulus), ("shear_modulus", shear_modulus)):
-        if not isinstance(value, jax.core.Tracer) and not np.all(np.asarray(value) > 0):
-            raise ValueError(f"{name}: must be positive, got {value}")
+    _check_positive(
+        youngs_modulus=youngs_modulus, shear_modulus=shear_modulus, shear_factor=shear_factor
+    )
+    if density is not None:
+        _check_positive(density=density)
 
     def at(midpoints: np.ndarray) -> Section:
         d = sample(diameter, midpoints, "diameter")
-        if not isinstance(d, jax.core.Tracer) and not np.all(np.asarray(d) > 0):
-            raise ValueError("diameter: must be positive everywhere")
+        _check_positive(diameter=d)
         area = jnp.pi * d**2 / 4
         bend = area * d**2 / 16
         inertia = None if density is None or not rotary_inertia else density * bend
@@ -171,18 +180,33 @@ def circular_section(
     return at
 
 
-def grid(length: float, elements: int, jumps: Sequence[float] = ()) -> np.ndarray:
+def _check_positive(**values):
+    for name, value in values.items():
+        if isinstance(value, jax.core.Tracer):
+            continue
+        if not (np.all(np.asarray(value) > 0) and np.all(np.isfinite(value))):
+            raise ValueError(f"{name}: must be positive and finite, got {value}")
+
+
+def _vector(value: Vector, name: str) -> np.ndarray:
+    vector = np.asarray(value, float)
+    if vector.shape != (3,) or not np.all(np.isfinite(vector)):
+        raise ValueError(f"{name}: must have three finite components, got {value}")
+    return vector
+
+
+def grid(length: Number, elements: int, jumps: Sequence[Number] = ()) -> np.ndarray:
     """Arc lengths of the nodes, equally spaced between the given `jumps` of the properties.
 
     Every jump becomes a node, so that no element straddles it; elements are shared out so that
     their lengths are as equal as can be.
     """
-    if not (np.ndim(length) == 0 and length > 0):
+    if not (np.ndim(length) == 0 and 0 < length < np.inf):
         raise ValueError(f"length: must be a positive number, got {length}")
-    if int(elements) != elements or elements < 2:
+    if not (elements >= 2 and elements % 1 == 0):
         raise ValueError(f"elements: must be a whole number of at least 2, got {elements}")
     marks = np.array([0.0, *sorted(jumps), length])
-    if np.any(np.diff(marks) <= 0):
+    if not np.all(np.diff(marks) > 0):
         raise ValueError(f"jumps: must be distinct and inside (0, {length}), got {tuple(jumps)}")
     if len(marks) - 1 > elements:
         raise ValueError(f"elements: {len(marks) - 1} pieces between jumps need as many elements")
@@ -193,20 +217,22 @@ def grid(length: float, elements: int, jumps: Sequence[float] = ()) -> np.ndarra
         cost = np.where((count + step) >= 1, np.abs(count + step - share), np.inf)
         # pieces of equal length keep equal counts where the total allows it
         count[np.argmin(cost)] += step
-    pieces = [np.linspace(a, b, k + 1)[1:] for a, b, k in zip(marks[:-1], marks[1:], count, strict=True)]
+    pieces = [
+        np.linspace(a, b, k + 1)[1:] for a, b, k in zip(marks[:-1], marks[1:], count, strict=True)
+    ]
     return np.concatenate([[0.0], *pieces])
 
 
 def straight_rod(
-    length: float,
+    length: Number,
     elements: int,
     section: Section | Callable[[np.ndarray], Section],
     *,
-    direction: Sequence[float] = (0.0, 0.0, 1.0),
-    first_director: Sequence[float] | None = None,
-    origin: Sequence[float] = (0.0, 0.0, 0.0),
+    direction: Vector = (0.0, 0.0, 1.0),
+    first_director: Vector | None = None,
+    origin: Vector = (0.0, 0.0, 0.0),
     natural_curvature: Sequence[Property] = (0.0, 0.0, 0.0),
-    jumps: Sequence[float] = (),
+    jumps: Sequence[Number] = (),
 ) -> Rod:
     """A rod placed straight along `direction`, its node s = 0 at `origin`.
 
@@ -216,25 +242,25 @@ def straight_rod(
     properties jump; they become nodes.
     """
     nodes = grid(length, elements, jumps)
-    tangent = np.asarray(direction, float)
-    if tangent.shape != (3,) or not np.linalg.norm(tangent) > 0:
-        raise ValueError(f"direction: must be a vector of three components, not zero: {direction}")
+    tangent = _vector(direction, "direction")
+    if not np.any(tangent):
+        raise ValueError("direction: must not be zero")
     tangent = tangent / np.linalg.norm(tangent)
     frame = _frame(tangent, first_director)
-    position = np.asarray(origin, float) + nodes[:, None] * tangent
-    quaternion = np.broadcast_to(frame, (elements + 1, 4))
+    position = _vector(origin, "origin") + nodes[:, None] * tangent
+    quaternion = np.broadcast_to(frame, (len(nodes), 4))
     return build_rod(nodes, position, quaternion, section, natural_curvature)
 
 
 def curved_rod(
     curve: Callable[[Array], Array],
-    length: float,
+    length: Number,
     elements: int,
     section: Section | Callable[[np.ndarray], Section],
     *,
-    first_director: Sequence[float] | None = None,
+    first_director: Vector | None = None,
     stress_free: bool = True,
-    jumps: Sequence[float] = (),
+    jumps: Sequence[Number] = (),
 ) -> Rod:
     """A rod placed along a space curve.
 
@@ -249,10 +275,9 @@ def curved_rod(
     """
     nodes = grid(length, elements, jumps)
     ds = np.diff(nodes)
-    middle = 0.5 * (nodes[1:] + nodes[:-1])
-    position = np.stack([np.asarray(curve(s), float) for s in nodes])
+    at = lambda s: _vector(np.asarray(curve(s)), "curve")
     step = 1e-4 * length / elements
-    tangents = np.stack([np.asarray(curve(s + step), float) - np.asarray(curve(s - step), float) for s in nodes])
+    tangents = np.stack([at(s + step) - at(s - step) for s in nodes])
     speed = np.linalg.norm(tangents, axis=1) / (2 * step)
     if np.any(np.abs(speed - 1) > 0.01):
         raise ValueError(
@@ -260,7 +285,6 @@ def curved_rod(
             f" [{speed.min():.4g}, {speed.max():.4g}]"
         )
     tangents /= np.linalg.norm(tangents, axis=1)[:, None]
-    del middle
     frames = [_frame(tangents[0], first_director)]
     for before, after in zip(tangents[:-1], tangents[1:], strict=True):
         frames.append(_multiply(_shortest(before, after), frames[-1]))
@@ -269,22 +293,28 @@ def curved_rod(
     halfway = quaternion[:-1] + quaternion[1:]
     halfway /= np.linalg.norm(halfway, axis=1)[:, None]
     edges = ds[:, None] * np.asarray(rotations.tangent_director(jnp.asarray(halfway)))
-    placed = position[0] + np.concatenate([np.zeros((1, 3)), np.cumsum(edges, 0)])
-    relative = rotations.multiply(rotations.conjugate(jnp.asarray(quaternion[:-1])), jnp.asarray(quaternion[1:]))
+    position = at(0.0) + np.concatenate([np.zeros((1, 3)), np.cumsum(edges, 0)])
+    before, after = jnp.asarray(quaternion[:-1]), jnp.asarray(quaternion[1:])
+    relative = rotations.multiply(rotations.conjugate(before), after)
     curvature = rotations.logarithm(relative) / ds[:, None]
     natural = curvature if stress_free else jnp.zeros_like(curvature)
-    return build_rod(nodes, placed, quaternion, section, tuple(jnp.moveaxis(natural, 1, 0)))
+    return build_rod(nodes, position, quaternion, section, tuple(jnp.moveaxis(natural, 1, 0)))
 
 
-def build_rod(nodes, position, quaternion, section, natural_curvature) -> Rod:
+def build_rod(
+    nodes: np.ndarray,
+    position: np.ndarray,
+    quaternion: np.ndarray,
+    section: Section | Callable[[np.ndarray], Section],
+    natural_curvature: Sequence[Property],
+) -> Rod:
     """A `Rod` from node arc lengths, a placing and a section; the other builders end here."""
     nodes = np.asarray(nodes, float)
     midpoints = 0.5 * (nodes[1:] + nodes[:-1])
-    chosen = section(midpoints) if callable(section) else section
-    one = lambda value, name: None if value is None else sample(value, midpoints, name)
-    many = lambda values, name: (
-        None if values is None else jnp.stack([sample(v, midpoints, name) for v in values], -1)
-    )
+    chosen = section if isinstance(section, Section) else section(midpoints)
+    many = lambda values, name: jnp.stack([sample(v, midpoints, name) for v in values], -1)
+    optional = lambda how, value, name: None if value is None else how(value, name)
+    one = lambda value, name: sample(value, midpoints, name)
     as_float = lambda a: jnp.asarray(a, jnp.result_type(float))
     return Rod(
         position=as_float(position),
@@ -292,11 +322,11 @@ def build_rod(nodes, position, quaternion, section, natural_curvature) -> Rod:
         length=as_float(np.diff(nodes)),
         stiffness=many(chosen.stiffness, "stiffness"),
         natural_curvature=many(natural_curvature, "natural_curvature"),
-        mass=one(chosen.mass, "mass"),
-        rotary_inertia=many(chosen.rotary_inertia, "rotary_inertia"),
-        compliance=many(chosen.compliance, "compliance"),
-        diameter=one(chosen.diameter, "diameter"),
-        area=one(chosen.area, "area"),
+        mass=optional(one, chosen.mass, "mass"),
+        rotary_inertia=optional(many, chosen.rotary_inertia, "rotary_inertia"),
+        compliance=optional(many, chosen.compliance, "compliance"),
+        diameter=optional(one, chosen.diameter, "diameter"),
+        area=optional(one, chosen.area, "area"),
     )
 
 
@@ -304,9 +334,9 @@ def _frame(tangent, first_director) -> np.ndarray:
     """Quaternion of the frame (a_1, a_2, a_3 = tangent) with a_1 as near as can be to the given."""
     if first_director is None:
         first_director = np.eye(3)[np.argmin(np.abs(tangent))]
-    first = np.asarray(first_director, float)
-    first = first - (first @ tangent) * tangent
-    if not np.linalg.norm(first) > 1e-6:
+    given = _vector(first_director, "first_director")
+    first = given - (given @ tangent) * tangent
+    if not np.linalg.norm(first) > 1e-6 * np.linalg.norm(given):
         raise ValueError("first_director: must not be parallel to the rod")
     first /= np.linalg.norm(first)
     columns = np.stack([first, np.cross(tangent, first), tangent], 1)

@@ -6,6 +6,8 @@ takes the *squared* angle and switches to its power series near zero, so that al
 are finite at the identity.
 """
 
+import math
+
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
@@ -29,17 +31,17 @@ def _polynomial(series, x):
     return value
 
 
-# Series coefficients, highest power of the squared angle first (np.polyval's order).
-_SINC_HALF = [1 / 2 / 4**k * (-1) ** k / f for k, f in enumerate((1, 6, 120, 5040, 362880, 39916800))]
-_COS_HALF = [(-1) ** k / 4**k / f for k, f in enumerate((1, 2, 24, 720, 40320, 3628800, 479001600))]
-_VERSINE = [(-1) ** k / f for k, f in enumerate((2, 24, 720, 40320, 3628800, 479001600, 87178291200))]
-_CUBIC = [(-1) ** k / f for k, f in enumerate((6, 120, 5040, 362880, 39916800, 6227020800))]
+# Series coefficients in the squared angle, lowest power first.
+_SINC_HALF = [(-1) ** k / 2 / 4**k / math.factorial(2 * k + 1) for k in range(6)]
+_COS_HALF = [(-1) ** k / 4**k / math.factorial(2 * k) for k in range(7)]
+_VERSINE = [(-1) ** k / math.factorial(2 * k + 2) for k in range(7)]
+_CUBIC = [(-1) ** k / math.factorial(2 * k + 3) for k in range(6)]
 # Bernoulli numbers: 1 - (a/2) cot(a/2) = sum |B_2k| a^2k / (2k)!
 _INVERSE = [1 / 12, 1 / 720, 1 / 30240, 1 / 1209600, 1 / 47900160, 691 / 1307674368000,
             1 / 74724249600, 3617 / 10670622842880000]  # fmt: skip
 # tan(y)/y with y = a/4, over 8
-_TANGENT = [c / 8 / 16**k for k, c in enumerate(
-    (1, 1 / 3, 2 / 15, 17 / 315, 62 / 2835, 1382 / 155925, 21844 / 6081075, 929569 / 638512875))]  # fmt: skip
+_TANGENT = [c / 8 / 16**k for k, c in enumerate((1, 1 / 3, 2 / 15, 17 / 315, 62 / 2835,
+            1382 / 155925, 21844 / 6081075, 929569 / 638512875))]  # fmt: skip
 
 
 def _derivative(series):
@@ -47,16 +49,22 @@ def _derivative(series):
     return [2 * k * c for k, c in enumerate(series)][1:]
 
 
+def _cotangent(angle):
+    """cos/sin: unlike 1/tan it keeps its higher derivatives at a quarter turn."""
+    return jnp.cos(angle) / jnp.sin(angle)
+
+
 def inverse_tangent_coefficient(squared):
     """c(a) = (1 - (a/2) cot(a/2)) / a^2 as a function of a^2; 1/12 at zero."""
-    return _blend(squared, _INVERSE[::-1], lambda a: (1 - 0.5 * a / jnp.tan(0.5 * a)) / a**2)
+    closed = lambda a: (1 - 0.5 * a * _cotangent(0.5 * a)) / a**2
+    return _blend(squared, _INVERSE[::-1], closed)
 
 
 def inverse_tangent_slope(squared):
     """c'(a) / a for c of `inverse_tangent_coefficient`; 1/360 at zero."""
 
     def closed(a):
-        cot = 1 / jnp.tan(0.5 * a)
+        cot = _cotangent(0.5 * a)
         return ((0.25 * a * (1 + cot**2) - 0.5 * cot) - 2 * (1 - 0.5 * a * cot) / a) / a**3
 
     return _blend(squared, _derivative(_INVERSE)[::-1], closed)

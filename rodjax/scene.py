@@ -6,6 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from rodjax.contact import Contact
 from rodjax.ends import AbstractEnd, Free
 from rodjax.loads import AbstractLoad, LinearDrag
 from rodjax.rod import Rod
@@ -18,7 +19,7 @@ class Scene(eqx.Module):
     first_end: AbstractEnd = Free()
     last_end: AbstractEnd = Free()
     loads: tuple[AbstractLoad, ...] = ()
-    contact: eqx.Module | None = None
+    contact: Contact | None = None
 
     def __check_init__(self):
         if not isinstance(self.loads, tuple):

@@ -23,15 +23,18 @@ class AbstractSchedule(eqx.Module):
         """Last time for which the schedule is given [s]."""
 
 
-def _check_knots(times, values):
+def _check_knots(times, values, name="values"):
     if isinstance(times, jax.core.Tracer) or not hasattr(times, "shape"):
         return
-    if times.ndim != 1 or times.shape[0] < 2 or np.any(np.diff(times) <= 0):
-        raise ValueError("times: give at least two, strictly increasing")
+    increasing = times.ndim == 1 and times.shape[0] >= 2 and np.all(np.diff(times) > 0)
+    if not increasing or not np.all(np.isfinite(times)):
+        raise ValueError("times: give at least two, finite and strictly increasing")
     if values.shape[:1] != times.shape:
-        raise ValueError(f"values: expected {times.shape[0]} (one a time), got shape {values.shape}")
+        raise ValueError(
+            f"{name}: expected {times.shape[0]} (one a time), got shape {values.shape}"
+        )
     if not isinstance(values, jax.core.Tracer) and not np.all(np.isfinite(values)):
-        raise ValueError("values: must be finite")
+        raise ValueError(f"{name}: must be finite")
 
 
 def _as_float(value):
@@ -75,7 +78,7 @@ class PiecewiseLinearRate(AbstractSchedule):
     rates: Float[Array, "k *d"] = eqx.field(converter=_as_float)
 
     def __check_init__(self):
-        _check_knots(self.times, self.rates)
+        _check_knots(self.times, self.rates, "rates")
 
     def __call__(self, time):
         span = jnp.diff(self.times).reshape((-1,) + (1,) * (self.rates.ndim - 1))

@@ -109,8 +109,7 @@ def _check_times(scene, state, times):
     if not np.all(np.isfinite(given)) or np.any(steps <= 0):
         raise ValueError("times: must be finite and increase from after the state's time")
     scene.check_until(float(given[-1]))
-    for switch in scene.switch_times:
-        switch = float(switch)
+    for switch in map(float, scene.switch_times):
         if not float(state.time) < switch < given[-1]:
             continue
         nearest = int(np.argmin(np.abs(given - switch)))
@@ -181,13 +180,8 @@ class Control(NamedTuple):
 
     dt: Float[Array, ""]  # step to try next
     growth: Float[Array, ""]  # how much it may grow after the next accepted step
-
-
-class _Limits(NamedTuple):
-    relative: Float[Array, ""]
-    absolute: Float[Array, ""]
-    max_step: Float[Array, ""]
-    min_step: Float[Array, ""]
+    max_step: Float[Array, ""]  # bounds of the step; those left to the rollout depend on its span,
+    min_step: Float[Array, ""]  # so a resumed run takes them from here
 
 
 class _Chunk(NamedTuple):
@@ -214,69 +208,106 @@ def adaptive_rollout(
     resume: Control | None = None,
     max_steps: int = 100_000,
     chunk: int = 50,
-    on_chunk: Callable[[State, StepInfo], None] | None = None,
+    on_chunk: Callable[[Run], None] | None = None,
     throw: bool = True,
 ) -> Run:
     """Run to `end_time` with steps chosen by the local error; every accepted step is saved.
 
     Steps end exactly on the times at which a constraint changes. The loop is compiled once and
-    called for `chunk` accepted steps at a time; `on_chunk(states, infos)` is called after each
-    with its accepted steps, for progress and storage. Not differentiable itself: replay
-    `run.times[1:]` by `rollout`, whose derivative is exact for that schedule.
+    called for `chunk` accepted steps at a time; `on_chunk(part)` is called after each, for
+    progress and storage, with a `Run` of its accepted steps (its states lack the start, its
+    counts are those so far; see `join_runs`). Not differentiable itself: replay `run.times[1:]`
+    by `rollout`, whose derivative is exact for that schedule. `compile_adaptive_rollout` compiles
+    the loop beforehand.
 
     Raises:
         ValueError: a schedule of the scene ends before `end_time`, or a tolerance is out of
             reach of the precision.
         SimulationError: the run failed; its `.partial` is the run up to the failure.
     """
-    dtype = state.position.dtype
     span = float(end_time) - float(state.time)
     if not span > 0:
         raise ValueError(f"end_time: must lie after the state's time {float(state.time):g}")
     scene.check_until(float(end_time))
+    dtype = state.position.dtype
     method.check_precision(dtype)
-    as_array = lambda x: jnp.asarray(x, dtype)
-    max_step = as_array(span / 100 if control.max_step is None else control.max_step)
-    min_step = as_array(1e-9 * max_step if control.min_step is None else control.min_step)
-    first = 0.1 * max_step if control.first_step is None else control.first_step
-    limits = _Limits(as_array(control.relative), as_array(control.absolute), max_step, min_step)
-    memory = resume or Control(as_array(first), as_array(2.0))
-    memory = Control(*(as_array(x) for x in memory))
+    tolerances = _tolerances(control, dtype)
+    memory = _memory(control, span, dtype, resume)
+    end, size = jnp.asarray(end_time, dtype), min(chunk, max_steps)
+    as_int = lambda x: jnp.asarray(x, jnp.int32)
 
-    pieces: list[tuple[State, StepInfo]] = []
+    parts: list[Run] = []
     rejected = wasted = accepted = 0
     current, code, done = state, Result.SUCCESS, False
     while not done:
-        out = _adaptive_chunk(
-            scene, current, memory, as_array(end_time), method, limits, min(chunk, max_steps)
-        )
+        out = _adaptive_chunk(scene, current, memory, end, method, tolerances, size)
         count = int(out.accepted)
         current, memory = out.state, out.control
-        states, infos = jax.tree.map(lambda leaf: np.asarray(leaf[:count]), (out.states, out.infos))
-        pieces.append((states, infos))
+        cut = lambda leaf, count=count: np.asarray(leaf[:count])
+        states, infos = jax.tree.map(cut, (out.states, out.infos))
         accepted += count
         rejected += int(out.rejected)
         wasted += int(out.wasted)
         code, done = Result(int(out.result)), bool(out.done)
         if not done and accepted >= max_steps:
             code, done = Result.MAX_STEPS, True
+        parts.append(Run(states, infos, as_int(code), as_int(rejected), as_int(wasted), memory))
         if on_chunk is not None and count:
-            on_chunk(states, infos)
-    joined = jax.tree.map(lambda *parts: jnp.asarray(np.concatenate(parts)), *pieces)
-    states = jax.tree.map(lambda a, b: jnp.concatenate([a[None], b]), state, joined[0])
-    as_int = lambda x: jnp.asarray(x, jnp.int32)
-    run = Run(states, joined[1], as_int(code), as_int(rejected), as_int(wasted), memory)
+            on_chunk(parts[-1])
+    run = join_runs(state, parts)
     if throw:
         results.raise_if_failed(code, f"after t = {float(current.time):g}", run)
     return run
 
 
+def join_runs(start: State, parts: list[Run]) -> Run:
+    """The run from `start` through the parts given to `on_chunk`, up to the last of them."""
+    last = parts[-1]
+    join = lambda *leaves: jnp.asarray(np.concatenate(leaves))
+    states, infos = jax.tree.map(join, *[(part.states, part.infos) for part in parts])
+    states = jax.tree.map(lambda a, b: jnp.concatenate([a[None], b]), start, states)
+    return Run(states, infos, last.result, last.rejected, last.wasted_iterations, last.control)
+
+
+def compile_adaptive_rollout(
+    scene: Scene,
+    state: State,
+    method: GeneralizedAlpha = GeneralizedAlpha(),  # noqa: B008 (immutable)
+    *,
+    chunk: int = 50,
+) -> None:
+    """Compile the loop of `adaptive_rollout` for this scene and chunk without taking a step."""
+    control, dtype = StepControl(), state.position.dtype
+    memory, tolerances = _memory(control, 1.0, dtype), _tolerances(control, dtype)
+    out = _adaptive_chunk(scene, state, memory, state.time, method, tolerances, chunk)
+    jax.block_until_ready(out.accepted)
+
+
+def _tolerances(control: StepControl, dtype) -> tuple[Array, Array]:
+    """Relative and absolute tolerance in the run's precision."""
+    return jnp.asarray(control.relative, dtype), jnp.asarray(control.absolute, dtype)
+
+
+def _memory(control: StepControl, span: float, dtype, resume: Control | None = None) -> Control:
+    """Memory to start with: that of the run resumed, and what `control` says anew."""
+    as_array = lambda x: jnp.asarray(x, dtype)
+    max_step = span / 100 if resume is None else resume.max_step
+    max_step = as_array(max_step if control.max_step is None else control.max_step)
+    min_step = 1e-9 * max_step if resume is None else resume.min_step
+    min_step = as_array(min_step if control.min_step is None else control.min_step)
+    if resume is not None:
+        return Control(as_array(resume.dt), as_array(resume.growth), max_step, min_step)
+    first = 0.1 * max_step if control.first_step is None else control.first_step
+    return Control(as_array(first), as_array(2.0), max_step, min_step)
+
+
 @eqx.filter_jit
-def _adaptive_chunk(scene, state, control, end_time, method, limits, size):
+def _adaptive_chunk(scene, state, control, end_time, method, tolerances, size):
     info_shape = eqx.filter_eval_shape(step, scene, state, end_time, method)[1]
     empty = lambda leaf: jnp.zeros((size, *leaf.shape), leaf.dtype)
     marks = jnp.stack([*scene.switch_times, end_time]).astype(end_time.dtype)
     length = jnp.sum(scene.rod.length)
+    relative, absolute = tolerances
 
     def attempt(loop: _Chunk) -> _Chunk:
         now, dt = loop.state.time, loop.control.dt
@@ -287,12 +318,12 @@ def _adaptive_chunk(scene, state, control, end_time, method, limits, size):
         stop = jnp.where(left <= 1.0001 * dt, mark, now + dt)
         new, info = step(scene, loop.state, stop, method)
         failed = info.result != Result.SUCCESS
-        allowed = lambda growth, floor: limits.relative * growth + limits.absolute * floor
+        allowed = lambda growth, floor: relative * growth + absolute * floor
         error = jnp.maximum(
             info.error_position / allowed(info.growth_position, length),
             jnp.maximum(
                 info.error_bending / allowed(info.growth_bending, 1.0),
-                info.error_twisting / allowed(info.growth_twisting, 0.05 / limits.absolute),
+                info.error_twisting / allowed(info.growth_twisting, 0.05 / absolute),
             ),
         )
         error = jnp.where(failed, 8.0, jnp.maximum(error, 1e-6))
@@ -308,19 +339,19 @@ def _adaptive_chunk(scene, state, control, end_time, method, limits, size):
             failed, 1.0, jnp.where(accept, jnp.minimum(loop.control.growth * 1.06, 2.0), 1.2)
         )
         trial = jnp.where(accept & (stop == mark), jnp.maximum(dt, loop.control.dt), dt)
-        dt = jnp.minimum(trial * factor, limits.max_step)
-        too_small = ~accept & (dt < limits.min_step)
+        dt = jnp.minimum(trial * factor, loop.control.max_step)
+        too_small = ~accept & (dt < loop.control.min_step)
         result = jnp.where(
             too_small, jnp.where(failed, info.result, Result.STEP_TOO_SMALL), Result.SUCCESS
         )
-        put = lambda buffer, value: buffer.at[
-            jnp.where(accept, loop.accepted, size)
-        ].set(value, mode="drop")
+        put = lambda buffer, value: buffer.at[jnp.where(accept, loop.accepted, size)].set(
+            value, mode="drop"
+        )
         chosen = jax.tree.map(lambda a, b: jnp.where(accept, a, b), new, loop.state)
         one = accept.astype(jnp.int32)
         return _Chunk(
             chosen,
-            Control(dt, growth.astype(dt.dtype)),
+            loop.control._replace(dt=dt, growth=growth.astype(dt.dtype)),
             jax.tree.map(put, loop.states, new),
             jax.tree.map(put, loop.infos, info),
             loop.accepted + one,

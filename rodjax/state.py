@@ -13,19 +13,19 @@ class State(eqx.Module):
     """
 
     time: Float[Array, ""]
-    position: Float[Array, "n+1 3"]
-    quaternion: Float[Array, "n+1 4"]
-    rate: Float[Array, "n+1 6"]
-    acceleration: Float[Array, "n+1 6"]
-    auxiliary: Float[Array, "n+1 6"]
+    position: Float[Array, "nodes 3"]
+    quaternion: Float[Array, "nodes 4"]
+    rate: Float[Array, "nodes 6"]
+    acceleration: Float[Array, "nodes 6"]
+    auxiliary: Float[Array, "nodes 6"]
     force: Float[Array, "n 3"]
 
     @property
-    def velocity(self) -> Float[Array, "n+1 3"]:
+    def velocity(self) -> Float[Array, "nodes 3"]:
         """v in inertial components [m/s]."""
         return self.rate[..., :3]
 
     @property
-    def angular_velocity(self) -> Float[Array, "n+1 3"]:
+    def angular_velocity(self) -> Float[Array, "nodes 3"]:
         """omega in body components [rad/s]."""
         return self.rate[..., 3:]

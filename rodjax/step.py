@@ -3,14 +3,14 @@
 from typing import NamedTuple
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float, Int
 
-from rodjax import balance, ends, newton, rotations
+from rodjax import balance, contact, ends, newton, rotations
 from rodjax.balance import Scales
-from rodjax.block_tridiagonal import BlockTridiagonal
+from rodjax.consistency import restart
+from rodjax.coupled import CoupledSystem, Coupling, coupled_or_not, solve_coupled
 from rodjax.generalized_alpha import (
     GeneralizedAlpha,
     advance,
@@ -18,7 +18,6 @@ from rodjax.generalized_alpha import (
     local_error,
     predicted_increment,
 )
-from rodjax.consistency import restart
 from rodjax.inertia import inertial_wrench, node_jacobian
 from rodjax.loads import NodeMotion, total_wrench
 from rodjax.results import Result, join
@@ -40,19 +39,11 @@ class StepInfo(NamedTuple):
     projection_loss: Float[Array, ""]  # kinetic energy lost where a constraint began [J]
 
 
-class System(NamedTuple):
-    """Linear system of a Newton iteration."""
+class Nearby(NamedTuple):
+    """Contact sites and the outcome of the search, fixed over a step."""
 
-    blocks: BlockTridiagonal
-
-    def solve(self, b):
-        return self.blocks.solve(b)
-
-    def solve_transpose(self, b):
-        return self.blocks.transpose().solve(b)
-
-    def multiply(self, b):
-        return self.blocks.multiply(b[:, :, None])[:, :, 0]
+    where: contact.Sites
+    active: contact.ActiveSet
 
 
 class StepEquations(eqx.Module):
@@ -67,6 +58,7 @@ class StepEquations(eqx.Module):
     state: State
     stop: Float[Array, ""]
     spectral_radius: Float[Array, ""]
+    nearby: Nearby | None = None
 
     @property
     def coefficients(self):
@@ -83,7 +75,7 @@ class StepEquations(eqx.Module):
             force = force + self.coefficients.by_acceleration * mass * length
         return Scales(length, force)
 
-    def guess(self) -> Float[Array, "n+1 9"]:
+    def guess(self) -> Float[Array, "nodes 9"]:
         """x for the accelerations and forces of the step's start."""
         c, scales = self.coefficients, self.scales
         correction = c.beta * c.dt**2 * self.state.auxiliary
@@ -126,9 +118,12 @@ class StepEquations(eqx.Module):
         )
         return motion, acceleration, increment
 
-    def _pack(self, motion, acceleration, increment, force):
+    def _balance(self, x, motion, acceleration, increment, contact_force):
+        """Scaled residual, the ends imposed; `contact_force` on the nodes or None."""
         scene, scales = self.scene, self.scales
-        wrench, constraint = nodal_balance(scene, motion, acceleration, force)
+        wrench, constraint = free_balance(scene, motion, acceleration, self.force(x))
+        if contact_force is not None:
+            wrench = wrench.at[:, :3].add(-contact_force)
         scale = jnp.repeat(jnp.stack([scales.force, scales.force * scales.length]), 3)
         wrench = wrench / scale
         both = projectors(scene, self.state.time)
@@ -139,30 +134,76 @@ class StepEquations(eqx.Module):
             gap = _gap(increment[index], prescribed) / unit
             row = wrench[index] + projector @ (gap - wrench[index])
             wrench = wrench.at[index].set(row)
-        constraint = jnp.concatenate([self._dummy(force), constraint])
+        # the element before node 0 does not exist: its force is a dummy, zero
+        constraint = jnp.concatenate([x[:1, 3:6], constraint])
         return jnp.concatenate([constraint, wrench], 1)
 
-    def _dummy(self, force):
-        return jnp.zeros_like(force[:1])
-
     def residual(self, x):
+        """Scaled residual of the step."""
         motion, acceleration, increment = self.motion(x)
-        residual = self._pack(motion, acceleration, increment, self.force(x))
-        return residual.at[0, :3].set(x[0, 3:6])
+        push = None
+        if self.nearby is not None:
+            assert self.scene.contact is not None
+            push = contact.forces(
+                self.scene.contact, self.scene.rod, *self.nearby, motion.position, motion.velocity
+            )
+        return self._balance(x, motion, acceleration, increment, push)
 
-    def linearize(self, x):
+    def _blocks(self, x, motion, acceleration, increment):
         scene, rod, c = self.scene, self.scene.rod, self.coefficients
-        motion, acceleration, increment = self.motion(x)
-        force = self.force(x)
-        residual = self._pack(motion, acceleration, increment, force).at[0, :3].set(x[0, 3:6])
-        tangent = balance.element_tangent(rod, motion.position, motion.quaternion, force)
+        tangent = balance.element_tangent(rod, motion.position, motion.quaternion, self.force(x))
         node = node_tangent(
             scene, motion, acceleration, increment[:, 3:], c.by_velocity, c.by_acceleration
         )
-        blocks = balance.assemble(
-            rod, tangent, node, tuple(projectors(scene, self.state.time)), self.scales
+        both = tuple(projectors(scene, self.state.time))
+        return balance.assemble(rod, tangent, node, both, self.scales)
+
+    def linearize(self, x) -> CoupledSystem:
+        """Derivative of the residual by the increments that `lift` takes."""
+        motion, acceleration, increment = self.motion(x)
+        blocks = self._blocks(x, motion, acceleration, increment)
+        return CoupledSystem(blocks, self._coupling(motion))
+
+    def newton_increment(self, x):
+        """Newton's increment, contact forces and their derivative evaluated once."""
+        motion, acceleration, increment = self.motion(x)
+        blocks = self._blocks(x, motion, acceleration, increment)
+        residual = self._balance(x, motion, acceleration, increment, None)
+        coupling = self._coupling(motion)
+        if coupling is None:
+            return blocks.solve(-residual)
+
+        def some(size):
+            def branch(b, factors):
+                force, derivative = coupling.evaluate(size)
+                b = b + coupling.enter(size, force) / self.scales.force
+                return solve_coupled(factors, coupling, size, derivative, b)
+
+            return branch
+
+        none = lambda b: blocks.solve(b)  # noqa: PLW0108 (cond hashes a bound method)
+        return coupled_or_not(blocks, coupling, none, some, -residual)
+
+    def _coupling(self, motion) -> Coupling | None:
+        if self.nearby is None or self.scene.contact is None:
+            return None
+        where, active = self.nearby
+        dtype = motion.position.dtype
+        eye = jnp.zeros((9, 3), dtype).at[3:6].set(jnp.eye(3, dtype=dtype))
+        left = jnp.broadcast_to(eye, (motion.position.shape[0], 9, 3))
+        for index, projector in zip((0, -1), projectors(self.scene, self.state.time), strict=True):
+            left = left.at[index, 3:].add(-projector[:, :3])
+        return Coupling(
+            self.scene.contact,
+            where,
+            active,
+            contact.interpolate(where, motion.position),
+            contact.interpolate(where, motion.velocity),
+            self.coefficients.by_velocity,
+            self.scales.length / self.scales.force,
+            left=left,
+            right=jnp.broadcast_to(jnp.roll(eye, -3, axis=0), left.shape),
         )
-        return residual, System(blocks)
 
     def lift(self, x, dx):
         """Increment of x for solved increments, whose rotations are body spins."""
@@ -173,7 +214,22 @@ class StepEquations(eqx.Module):
         return x + self.lift(x, dx)
 
     def limit(self, x, dx):
-        return jnp.ones((), x.dtype)
+        if self.nearby is None or self.scene.contact is None:
+            return jnp.ones((), x.dtype)
+        position = self.state.position + self.increment(x)[:, :3]
+        return contact.approach_limit(
+            self.scene.contact, *self.nearby, position, dx[:, :3] * self.scales.length
+        )
+
+    def limited(self, x):
+        """The guess x with its increment scaled down where strands would close too much."""
+        full = self.increment(x)
+        assert self.scene.contact is not None and self.nearby is not None
+        scale = contact.approach_limit(
+            self.scene.contact, *self.nearby, self.state.position, full[:, :3]
+        )
+        change = (scale - 1) * full
+        return x.at[:, :3].add(change[:, :3] / self.scales.length).at[:, 6:].add(change[:, 3:])
 
     def size(self, dx):
         return jnp.maximum(jnp.max(jnp.abs(dx[:, :3])), jnp.max(jnp.abs(dx[:, 6:])))
@@ -188,8 +244,11 @@ def _gap(increment, prescribed):
     return jnp.concatenate([increment[:3] - prescribed[:3], rotations.logarithm(turn)])
 
 
-def nodal_balance(scene: Scene, motion: NodeMotion, acceleration, force):
-    """Inertia + internal - external wrench of every node (n+1, 6), and the constraint (n, 3)."""
+def free_balance(scene: Scene, motion: NodeMotion, acceleration, force):
+    """Inertia + internal - external wrench of every node (n+1, 6), and the constraint (n, 3).
+
+    Without contact.
+    """
     inner = balance.internal(scene.rod, motion.position, motion.quaternion, force)
     wrench = jnp.concatenate([inner.force, inner.moment], 1)
     if scene.rod.mass is not None:
@@ -197,6 +256,27 @@ def nodal_balance(scene: Scene, motion: NodeMotion, acceleration, force):
     if scene.loads:
         wrench = wrench - total_wrench(scene.loads, scene.rod, motion)
     return wrench, inner.constraint
+
+
+def nodal_balance(scene: Scene, motion: NodeMotion, acceleration, force):
+    """`free_balance` less the contact forces, by a search of its own."""
+    wrench, constraint = free_balance(scene, motion, acceleration, force)
+    if scene.contact is not None:
+        pushed = contact.report(
+            scene.contact, scene.rod, motion.position, motion.quaternion, motion.velocity
+        ).force
+        wrench = wrench.at[:, :3].add(-pushed)
+    return wrench, constraint
+
+
+def find_nearby(scene: Scene, motion: NodeMotion, displacement) -> Nearby:
+    """Search for contact before a step of the expected displacement; tangents of `motion`."""
+    assert scene.contact is not None
+    where = contact.sites(scene.contact, scene.rod)
+    active = contact.search(
+        scene.contact, scene.rod, where, motion.position, motion.quaternion, displacement
+    )
+    return Nearby(where, active)
 
 
 def node_tangent(scene, motion, acceleration, turn, by_velocity, by_acceleration):
@@ -243,12 +323,20 @@ def step(
     loss = jnp.zeros((), state.position.dtype)
     if scene.switch_times:
         switches = jnp.any(jnp.stack([t == state.time for t in scene.switch_times]))
-        state, loss = lax.cond(
-            switches, lambda s: restart(scene, s), lambda s: (s, loss), state
-        )
+        state, loss = lax.cond(switches, lambda s: restart(scene, s), lambda s: (s, loss), state)
     equations = StepEquations(scene, state, stop, method.spectral_radius)
+    guess = equations.guess()
+    if scene.contact is not None:
+        # tangents for the apertures: predicted, which keeps second order without coupling
+        # rotations into the contact forces
+        expected = equations.increment(guess)
+        turned = rotations.multiply(state.quaternion, rotations.exponential(expected[:, 3:]))
+        motion = NodeMotion(stop, state.position, turned, state.velocity, state.angular_velocity)
+        nearby = find_nearby(scene, motion, expected[:, :3])
+        equations = StepEquations(scene, state, stop, method.spectral_radius, nearby)
+        guess = equations.limited(guess)
     tolerance = method.newton_tolerance(state.position.dtype)
-    x, solved = newton.solve(equations, equations.guess(), tolerance, method.max_iterations)
+    x, solved = newton.solve(equations, guess, tolerance, method.max_iterations)
     increment = equations.increment(x)
     c = equations.coefficients
     rate, acceleration, auxiliary = advance(
@@ -266,9 +354,21 @@ def step(
     )
     error = local_error(c, state.auxiliary, auxiliary)
     largest = lambda v: jnp.sqrt(jnp.max(jnp.sum(lax.stop_gradient(v) ** 2, 1)))
+    contact_code = jnp.asarray(Result.SUCCESS, jnp.int32)
+    if scene.contact is not None:
+        assert equations.nearby is not None
+        passed = contact.passage_suspected(
+            scene.contact, *equations.nearby, state.position, new.position
+        )
+        overflow = equations.nearby.active.overflow > 0
+        contact_code = join(
+            jnp.where(passed, Result.STRAND_PASSAGE, Result.SUCCESS),
+            jnp.where(overflow, Result.CAPACITY_OVERFLOW, Result.SUCCESS),
+        )
     info = StepInfo(
         result=join(
             solved.result,
+            contact_code,
             jnp.where(
                 largest(increment[:, 3:]) > jnp.pi, Result.ROTATION_TOO_LARGE, Result.SUCCESS
             ),

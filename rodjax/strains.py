@@ -22,7 +22,7 @@ class Strains(NamedTuple):
     stretch: Float[Array, "n 3"]  # gamma
 
 
-def relative_rotation(quaternion: Float[Array, "n+1 4"]) -> Float[Array, "n 4"]:
+def relative_rotation(quaternion: Float[Array, "nodes 4"]) -> Float[Array, "n 4"]:
     """q_i^-1 q_{i+1} of every element."""
     return rotations.multiply(rotations.conjugate(quaternion[:-1]), quaternion[1:])
 
@@ -34,13 +34,13 @@ def halfway(relative: Float[Array, "n 4"]) -> Float[Array, "n 4"]:
     return jnp.concatenate([(1 + w) * scale, relative[..., 1:] * scale], -1)
 
 
-def element_quaternions(quaternion: Float[Array, "n+1 4"]) -> Float[Array, "n 4"]:
+def element_quaternions(quaternion: Float[Array, "nodes 4"]) -> Float[Array, "n 4"]:
     """Frames q_e of the elements, halfway between those of their nodes."""
     return rotations.multiply(quaternion[:-1], halfway(relative_rotation(quaternion)))
 
 
 def strains(
-    rod: Rod, position: Float[Array, "n+1 3"], quaternion: Float[Array, "n+1 4"]
+    rod: Rod, position: Float[Array, "nodes 3"], quaternion: Float[Array, "nodes 4"]
 ) -> Strains:
     """Strains of every element of a configuration."""
     relative = relative_rotation(quaternion)
@@ -50,6 +50,6 @@ def strains(
     return Strains(rotations.logarithm(relative), frame, stretch)
 
 
-def curvature(rod: Rod, quaternion: Float[Array, "n+1 4"]) -> Float[Array, "n 3"]:
+def curvature(rod: Rod, quaternion: Float[Array, "nodes 4"]) -> Float[Array, "n 3"]:
     """kappa of every element in its own frame [1/m]."""
     return rotations.logarithm(relative_rotation(quaternion)) / rod.length[:, None]

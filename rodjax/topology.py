@@ -53,24 +53,33 @@ def writhe(
     Returns:
         Writhe [-]; a right-handed helix is positive, a planar curve has 0. Where strands cross, the
         writhe jumps by 2 and its derivative is that on either side. Infinite extensions that run
-        side by side in the same direction are a similar jump.
+        side by side the same way (opposite `start_direction` and `end_direction`) have no writhe
+        in the limit: give them a length.
     """
     edges = positions[1:] - positions[:-1]
-    vertices = positions / jnp.sum(jnp.linalg.norm(edges, axis=1))  # so that products keep in range
+    length = jnp.sum(jnp.linalg.norm(edges, axis=1))
+    vertices = positions / length  # so that products stay in range
     if closed:
         edges = jnp.concatenate([edges, positions[:1] - positions[-1:]])
-        pairs = _sum_over_pairs(vertices, jnp.roll(vertices, -1, axis=0))
-        return _with_local_derivative(pairs / jnp.pi, jnp.concatenate([edges, edges[:1]]))
+        pairs = _sum_over_pairs(vertices, jnp.roll(vertices, -1, axis=0), closed)
+        return _with_local_derivative(pairs, jnp.concatenate([edges, edges[:1]])) / jnp.pi
     start = edges[0] / jnp.linalg.norm(edges[0]) if start_direction is None else start_direction
     end = edges[-1] / jnp.linalg.norm(edges[-1]) if end_direction is None else end_direction
-    infinite = _sum_over_extensions(vertices, start, end, jnp.zeros_like(vertices[0, 0]))
-    pairs = _sum_over_pairs(vertices[:-1], vertices[1:])
-    round_trip = jnp.concatenate([start[None, :], edges, end[None, :], start[None, :]])
-    result = _with_local_derivative((pairs + infinite) / jnp.pi, round_trip)
-    if extension is not None:
-        inverse = jnp.sum(jnp.linalg.norm(edges, axis=1)) / extension
-        result += (_sum_over_extensions(vertices, start, end, inverse) - infinite) / jnp.pi
-    return result
+    pairs = _sum_over_pairs(vertices[:-1], vertices[1:], closed)
+    there, back = jnp.concatenate([start[None, :], edges, end[None, :]]), start[None, :]
+    if extension is None:
+        angles = _extension_angles(vertices, start, end, jnp.zeros_like(length))
+        return (
+            _with_local_derivative(pairs + jnp.sum(angles), jnp.concatenate([there, back])) / jnp.pi
+        )
+    # the pair of the two extensions apart: its infinite limit may not exist
+    inverse = jnp.stack([jnp.zeros_like(length), length / extension])
+    by_inverse = jax.vmap(_extension_angles, (None, None, None, 0))
+    infinite, finite = by_inverse(vertices, start, end, inverse)
+    most = jnp.sum(infinite[:-1])
+    back = jnp.concatenate([vertices[-1:] - vertices[:1], back])
+    total = _with_local_derivative(pairs + most, jnp.concatenate([there, back]))
+    return (total - most + jnp.sum(finite)) / jnp.pi
 
 
 def twist(
@@ -169,12 +178,14 @@ def linking_error(
 
 
 def _sum_over_pairs(
-    starts: Float[Array, "segments 3"], ends: Float[Array, "segments 3"]
+    starts: Float[Array, "segments 3"], ends: Float[Array, "segments 3"], closed: bool
 ) -> Float[Array, ""]:
     """Sum over all pairs of segments of half their signed solid angle, a constant under derivation.
 
     Pair (i, i + shift modulo segments) runs over every unordered pair once as the shift runs from 1
-    to half the number of segments (twice at exactly half); shifts are taken in blocks.
+    to half the number of segments (twice at exactly half); shifts are taken in blocks. Segments
+    that share a vertex are left out by index: their solid angle is zero, but round-off makes it
+    any angle.
     """
     starts, ends = lax.stop_gradient((starts, ends))
     segments = starts.shape[0]
@@ -183,6 +194,8 @@ def _sum_over_pairs(
     block_size = -(-shifts // blocks)
     first = [*starts.T, *ends.T]  # x, y, z apart: contiguous vectors
     doubled = [jnp.concatenate([component, component]) for component in first]
+    # at shift 1 segments are neighbours, but for the two ends of an open curve
+    unshared = jnp.arange(segments)[None, :] == (-1 if closed or segments < 3 else segments - 1)
     start_1, end_1 = [c[None, :] for c in first[:3]], [c[None, :] for c in first[3:]]
 
     def add_block(total, block_start):
@@ -196,6 +209,7 @@ def _sum_over_pairs(
         c, d = _difference(end_2, end_1), _difference(start_2, end_1)
         triple = _triple(a, _difference(end_2, start_2), _difference(end_1, start_1))
         angles = _half_solid_angle(a, b, c, d, triple, triple)
+        angles = jnp.where((shift > 1)[:, None] | unshared, angles, 0.0)
         weight = jnp.where(2 * shift < segments, 1.0, jnp.where(2 * shift == segments, 0.5, 0.0))
         return total + jnp.sum(weight.astype(angles.dtype) * jnp.sum(angles, axis=1)), None
 
@@ -203,31 +217,31 @@ def _sum_over_pairs(
     return lax.scan(add_block, jnp.zeros((), starts.dtype), block_starts)[0]
 
 
-def _sum_over_extensions(
+def _extension_angles(
     vertices: Float[Array, "nodes 3"],
     start: Float[Array, "3"],
     end: Float[Array, "3"],
     inverse: Float[Array, ""],
-) -> Float[Array, ""]:
-    """The same sum over the pairs with an extension in them; `inverse` is 1 / length, or 0.
+) -> Float[Array, "pairs"]:
+    """The same angles for the pairs with an extension, last the pair of the two extensions.
 
-    Vectors from a far end are divided by the length of the extension, so none is large.
+    `inverse` is 1 / length of the extensions, or 0. Vectors from a far end are divided by the
+    length of the extension, so that none is large. Neighbours are left out.
     """
 
-    def pairs(near, direction, edges, after_near, after_far):
-        a, b, c, d = (direction[None, :] + inverse * near).T, after_far.T, after_near.T, near.T
-        triple = _triple(d, edges.T, direction[:, None])
-        return jnp.sum(_half_solid_angle(a, b, c, d, inverse * triple, triple))
+    def rays(vertices, direction):
+        d = vertices[1:] - vertices[:1]
+        a = direction[None, :] + inverse * d
+        directions = jnp.broadcast_to(direction[None, :], d[1:].shape)
+        return [a[:-1], a[1:], d[1:], d[:-1], d[1:] - d[:-1], directions]
 
-    near = vertices - vertices[:1]  # seen from the start, with the end's extension as last segment
-    far = start[None, :] + inverse * near
-    edges = jnp.concatenate([near[1:] - near[:-1], end[None, :]])
-    after_near = jnp.concatenate([near[1:], end[None, :] + inverse * near[-1:]])
-    after_far = jnp.concatenate([far[1:], end[None, :] + far[-1:]])
-    total = pairs(near, start, edges, after_near, after_far)
-    near = (vertices - vertices[-1:])[::-1]  # the reversed curve has the same writhe
-    far = -end[None, :] + inverse * near
-    return total + pairs(near[:-1], -end, near[1:] - near[:-1], near[1:], far[1:])
+    chord = vertices[-1] - vertices[0]
+    a, c = start + inverse * chord, end + inverse * chord
+    both = [vector[None, :] for vector in (a, start + c, c, chord, end, start)]
+    parts = [rays(vertices, start), rays(vertices[::-1], -end), both]  # reversal keeps the writhe
+    a, b, c, d, segment, direction = (jnp.concatenate(part).T for part in zip(*parts, strict=True))
+    triple = _triple(d, segment, direction)
+    return _half_solid_angle(a, b, c, d, inverse * triple, triple)
 
 
 def _half_solid_angle(a, b, c, d, triple_abc: Array, triple_acd: Array) -> Array:
@@ -253,11 +267,13 @@ def _half_solid_angle(a, b, c, d, triple_abc: Array, triple_acd: Array) -> Array
 def _with_local_derivative(
     value: Float[Array, ""], directions: Float[Array, "n 3"]
 ) -> Float[Array, ""]:
-    """The writhe, with its derivative taken from the directions of segments and extensions alone.
+    """pi times the writhe, with its derivative taken from a round trip of directions alone.
 
-    The directions go round: the first one comes again at the end. For frames carried along with the
-    curve Tw + Wr does not change, so that dWr = -dTw, a sum over the vertices (compare Fuller 1978,
-    PNAS 75, 3557). As this holds for finite changes too, higher derivatives are right as well.
+    For frames carried along with the curve Tw + Wr does not change, so that dWr = -dTw, a sum over
+    the vertices (compare Fuller 1978, PNAS 75, 3557). As this holds for finite changes too, higher
+    derivatives are right as well. The round trip visits the directions of the segments and comes
+    back to the first one; for an open curve with infinite extensions it is start, segments, end,
+    start, and with the chord before the last if the pair of the two extensions is left out.
     """
     del directions
     return value
@@ -270,7 +286,7 @@ def _(primals, tangents):
     nearer = jnp.where(directions[:, 2:] >= 0, identity[None, :], half_turn[None, :])
     frames = lax.stop_gradient(_align(nearer, directions))
     twist_change = jax.jvp(lambda d: _ribbon_twist(d, frames), (directions,), (tangents[1],))[1]
-    return value, -twist_change
+    return value, -jnp.pi * twist_change
 
 
 def _ribbon_twist(directions: Float[Array, "n 3"], frames: Float[Array, "n 4"]) -> Float[Array, ""]:

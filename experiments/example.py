@@ -1,0 +1,124 @@
+"""The illustrative example of Goyal, Perkins & Lee (section 4): its scene, in two presets.
+
+What the paper's text gives is fixed here; what it leaves to figures that cannot be read off
+(the diameter, the twist rate, the imperfection) is assumed, and differs between the presets.
+"""
+
+import dataclasses
+
+import numpy as np
+
+from rodjax.contact import Contact
+from rodjax.ends import Clamped, Slider, Switched, Turn
+from rodjax.loads import MorisonDrag
+from rodjax.rod import Rod, circular_section, straight_rod
+from rodjax.scene import Scene
+from rodjax.schedules import PiecewiseLinear
+
+LOADING_AXIS = (0.0, 1.0, 0.0)  # e2; the rod lies along it, its right end s = 0 at the origin
+LENGTH = 1.0  # [m]
+NECK = (0.375, 0.625)  # the middle quarter [m]
+LAST_TIME = 1000.0  # the drives are given until then [s]
+
+# Table 1 and section 4 of the paper
+FROM_PAPER = {
+    "length": "1 m",
+    "Young's modulus": "1.25e7 Pa",
+    "shear modulus": "5e6 Pa",
+    "rod density": "1500 kg/m^3",
+    "neck": "0.9 of the diameter over the middle quarter",
+    "fluid density": "1000 kg/m^3",
+    "drag coefficients": "normal 0.1, tangential 0.01",
+    "contact law": "Eq. (13) with k1 = 1e-7 m^4/s^2, k2 = 3, k3 = 1e-6, k4 = 1",
+    "ends": "right end s = 0 turned about e2, left end s = L slides along e2",
+}
+
+
+@dataclasses.dataclass(frozen=True)
+class Preset:
+    """The assumed inputs of the example.
+
+    Args:
+        diameter: D of the thick part [m].
+        drive: knots (time [s], turns) of the right end's rotation, linear between them.
+        rate_after: its rate after the last knot [turns/s].
+        seed_curvature: natural curvature about a_1, which starts buckling [1/m].
+        hold_at: time from which the left end is held [s] (in the paper: 30 s), None for never.
+        max_step: longest step of the adaptive run [s].
+    """
+
+    name: str
+    diameter: float
+    drive: tuple[tuple[float, float], ...]
+    rate_after: float
+    seed_curvature: float
+    hold_at: float | None
+    max_step: float = 0.36
+
+    @property
+    def assumed(self) -> dict[str, str]:
+        """The inputs that the paper's text does not give, in words."""
+        knots = ", ".join(f"{turns:g} turns at {time:g} s" for time, turns in self.drive[1:])
+        held = "never held" if self.hold_at is None else None
+        inputs = {
+            "diameter": f"{1e3 * self.diameter:g} mm",
+            "twist": f"linear to {knots}, then {self.rate_after:.6g} turns/s",
+            "imperfection": f"natural curvature {self.seed_curvature:g} /m about a_1",
+        }
+        return inputs | ({"left end": held} if held else {})
+
+
+PRESETS = {
+    preset.name: preset
+    for preset in (
+        # chosen so that the times of the paper's milestones come out
+        Preset("timeline", 3e-4, ((0.0, 0.0), (6.0, 4.0)), 0.02, 1e-3, hold_at=30.0),
+        # the stress case: strands collapse within a second into hard contact
+        Preset("stout", 1e-2, ((0.0, 0.0), (16.0, 4.0)), 1 / 32, 1e-3, hold_at=None),
+    )
+}
+
+
+def rod(preset: Preset, elements: int) -> Rod:
+    """The necked rod, straight along e2."""
+    section = circular_section(
+        lambda s: np.where((s > NECK[0]) & (s < NECK[1]), 0.9, 1.0) * preset.diameter,
+        youngs_modulus=1.25e7,
+        shear_modulus=5e6,
+        density=1500.0,
+    )
+    return straight_rod(
+        LENGTH,
+        elements,
+        section,
+        direction=LOADING_AXIS,
+        natural_curvature=(preset.seed_curvature, 0.0, 0.0),
+        jumps=NECK,
+    )
+
+
+def drive(preset: Preset) -> Turn:
+    """Rotation of the right end, by minus the turns about e2, so that Lk comes out positive."""
+    times, turns = (np.array(x) for x in zip(*preset.drive, strict=True))
+    last = turns[-1] + preset.rate_after * (LAST_TIME - times[-1])
+    turns = np.append(turns, last)
+    return Turn(LOADING_AXIS, PiecewiseLinear(np.append(times, LAST_TIME), -2 * np.pi * turns))
+
+
+def contact_law(preset: Preset) -> Contact | None:
+    """Self-contact by Eq. (13) with the paper's coefficients."""
+    del preset
+    return None
+
+
+def scene(preset: Preset, elements: int, contact: bool = True) -> Scene:
+    """The whole example."""
+    slider = Slider(LOADING_AXIS)
+    held = slider if preset.hold_at is None else Switched(slider, Clamped(), preset.hold_at)
+    return Scene(
+        rod(preset, elements),
+        first_end=Clamped(rotation=drive(preset)),
+        last_end=held,
+        loads=(MorisonDrag(1000.0, normal_coefficient=0.1, tangential_coefficient=0.01),),
+        contact=contact_law(preset) if contact else None,
+    )

@@ -1,0 +1,256 @@
+"""Measures of a state or a stored run: topology, apex, constraint error, event times."""
+
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.core
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+from jaxtyping import Array, Float
+
+from rodjax import balance, energy, rotations, topology
+from rodjax.ends import Turn
+from rodjax.rod import Rod
+from rodjax.scene import Scene
+from rodjax.simulate import Run
+from rodjax.state import State
+from rodjax.strains import curvature, element_quaternions, strains
+
+
+def twist(state: State) -> Float[Array, ""]:
+    """Twist of the polygon of nodes between the frames of both ends [turns]: Tw of Tw + Wr = Lk."""
+    return topology.twist(
+        state.position,
+        element_quaternions(state.quaternion),
+        start_frame=state.quaternion[0],
+        end_frame=state.quaternion[-1],
+    )
+
+
+def twist_eq15(rod: Rod, state: State) -> Float[Array, ""]:
+    """The paper's twist, Eq. (15) [turns]; `twist` to second order in the element length."""
+    return topology.twist_integral(curvature(rod, state.quaternion), rod.length)
+
+
+def writhe(state: State, extension: Float[Array, ""] | float | None = None) -> Float[Array, ""]:
+    """Writhe of the rod extended straight along its end tangents, see `topology.writhe`."""
+    return topology.writhe(
+        state.position,
+        extension=extension,
+        start_direction=rotations.tangent_director(state.quaternion[0]),
+        end_direction=rotations.tangent_director(state.quaternion[-1]),
+    )
+
+
+def turns(
+    scene: Scene, time: Float[Array, ""] | float, start: Float[Array, ""] | float = 0.0
+) -> Float[Array, ""]:
+    """Turns that the drives of both ends applied from `start` to `time`, in the sense of Lk.
+
+    The end s = 0 turned by -turns about its tangent, or the other by +turns about its own, counts
+    positive.
+
+    Raises:
+        ValueError: a drive does not turn about the tangent of its end in the rod's placing, so
+            that its angle is no number of turns (checked outside traced code).
+    """
+    frames = (scene.rod.quaternion[0], scene.rod.quaternion[-1])
+    names = ("first_end", "last_end")
+    total = jnp.zeros((), scene.rod.position.dtype)
+    for name, end, frame, sign in zip(names, scene.ends, frames, (-1, 1), strict=True):
+        turn = end.rotation
+        if turn is None:
+            continue
+        along = _along(name, turn, frame)
+        angle = turn.angle(jnp.asarray(time)) - turn.angle(jnp.asarray(start))
+        total = total + sign * along * angle / (2 * jnp.pi)
+    return total
+
+
+def _along(name: str, turn: Turn, frame: Float[Array, "4"]) -> Float[Array, ""]:
+    """1 or -1: whether the drive turns about the tangent or against it."""
+    cosine = jnp.sum(turn.axis * rotations.tangent_director(frame))
+    if isinstance(cosine, jax.core.Tracer):
+        return cosine
+    if np.abs(np.abs(np.asarray(cosine)) - 1) > 1e3 * float(jnp.finfo(cosine.dtype).eps):
+        raise ValueError(
+            f"{name}.rotation: turns are counted for a drive about the end's tangent only;"
+            f" its axis makes an angle of {float(jnp.degrees(jnp.arccos(cosine))):.3g} degrees"
+        )
+    return cosine
+
+
+class Linking(NamedTuple):
+    """Topology of a run at its saved times; all in turns."""
+
+    time: Float[Array, " k"]
+    twist: Float[Array, " k"]
+    twist_eq15: Float[Array, " k"]
+    writhe: Float[Array, " k"]
+    turns: Float[Array, " k"]  # applied by the drives since the first state
+
+    @property
+    def error(self) -> Float[Array, " k"]:
+        """Change of Tw + Wr less the turns applied: 0, or 2 more or less for each passage."""
+        start = self.twist[0] + self.writhe[0]
+        return topology.linking_error(self.turns, self.twist, self.writhe) - start
+
+
+def linking(scene: Scene, run: Run, extension: float | None = None) -> Linking:
+    """Twist, writhe and applied turns over the saved states of a run (one state at a time)."""
+
+    applied = jax.vmap(lambda t: turns(scene, t, run.times[0]))(run.times)
+    twists, integrals, writhes = _topology(scene.rod, run.states, extension)
+    return Linking(run.times, twists, integrals, writhes, applied)
+
+
+@eqx.filter_jit
+def _topology(rod, states, extension):
+    one = lambda s: (twist(s), twist_eq15(rod, s), writhe(s, extension))
+    return lax.map(one, states)
+
+
+def stretch_error(rod: Rod, state: State) -> Float[Array, ""]:
+    """Largest |gamma - e3 - compliance f| of any element and component [-]."""
+    stretch = strains(rod, state.position, state.quaternion).stretch
+    return jnp.max(jnp.abs(balance.constraint(rod, stretch, state.force)))
+
+
+class Apex(NamedTuple):
+    """The point of the rod that is farthest from the loading axis."""
+
+    index: Float[Array, ""]  # node number, with a fraction
+    position: Float[Array, "3"]
+    tangent: Float[Array, "3"]
+
+
+def apex(state: State, axis: Float[Array, "3"], origin: Float[Array, "3"] | None = None) -> Apex:
+    """The apex with respect to the line along `axis` through `origin` (default: the node s = 0).
+
+    The node farthest from the line, refined by the parabola through the squared distances of it
+    and its two neighbours; position and third director are interpolated quadratically there. It
+    is continuous up to third order in the element length where the farthest node changes, and
+    without meaning while the rod is straight.
+    """
+    unit = axis / jnp.linalg.norm(axis)
+    offset = state.position - (state.position[0] if origin is None else origin)
+    squared = jnp.sum(jnp.cross(offset, unit) ** 2, 1)
+    k = jnp.clip(jnp.argmax(squared), 1, squared.shape[0] - 2)
+    near = lambda values: lax.dynamic_slice_in_dim(values, k - 1, 3)
+    a, b, c = near(squared)
+    bend = a - 2 * b + c
+    curved = bend < 0  # a node that is farther than both neighbours
+    x = jnp.where(curved, 0.5 * (a - c) / jnp.where(curved, bend, 1.0), 0.0)
+    x = jnp.clip(x, -1.0, 1.0)
+    weights = jnp.stack([0.5 * x * (x - 1), 1 - x * x, 0.5 * x * (x + 1)])
+    tangent = weights @ near(rotations.tangent_director(state.quaternion))
+    return Apex(k + x, weights @ near(state.position), tangent / jnp.linalg.norm(tangent))
+
+
+def apex_angle(
+    state: State, axis: Float[Array, "3"], origin: Float[Array, "3"] | None = None
+) -> Float[Array, ""]:
+    """Angle between the tangent at the apex and the loading axis [rad], pi/2 when orthogonal."""
+    unit = axis / jnp.linalg.norm(axis)
+    tangent = apex(state, axis, origin).tangent
+    squared = jnp.sum(jnp.cross(tangent, unit) ** 2)
+    aligned = squared == 0
+    sine = jnp.where(aligned, 0.0, jnp.sqrt(jnp.where(aligned, 1.0, squared)))
+    return jnp.arctan2(sine, jnp.sum(tangent * unit))
+
+
+def slopes(times: Float[Array, " k"], values: Float[Array, " k"]) -> Float[Array, " k"]:
+    """Rate of a sampled quantity, from the parabola through three consecutive samples."""
+    dt = jnp.diff(times)
+    secant = jnp.diff(values) / dt
+    inner = (dt[1:] * secant[:-1] + dt[:-1] * secant[1:]) / (dt[1:] + dt[:-1])
+    first, last = 2 * secant[:1] - inner[:1], 2 * secant[-1:] - inner[-1:]
+    return jnp.concatenate([first, inner, last])
+
+
+def first_crossing(
+    times: Float[Array, " k"],
+    values: Float[Array, " k"],
+    level: Float[Array, ""] | float,
+    rates: Float[Array, " k"] | None = None,
+) -> Float[Array, ""]:
+    """Time at which a sampled quantity first reaches a level from below.
+
+    Linear between samples, or the cubic through values and `rates` at both (`slopes` gives rates
+    for a smooth quantity). The first time if it starts at or above the level, inf if it never
+    reaches it. Differentiable in all arguments; the sample interval is held.
+    """
+    reached = values >= level
+    j = jnp.argmax(reached)  # first true
+    i = jnp.maximum(j - 1, 0)
+    inside = reached[j] & (j > 0)
+    t0, t1, v0, v1 = times[i], times[i + 1], values[i], values[i + 1]
+    if rates is None:
+        x = (level - v0) / jnp.where(inside, v1 - v0, 1.0)
+    else:
+        # a harmless line where nothing is crossed
+        line = (level - 0.5, level + 0.5, 1.0, 1.0)
+        cubic = (v0, v1, (t1 - t0) * rates[i], (t1 - t0) * rates[i + 1])
+        cubic = tuple(jnp.where(inside, a, b) for a, b in zip(cubic, line, strict=True))
+        x = _hermite_root(cubic, jnp.asarray(level, values.dtype))
+    time = jnp.where(inside, t0 + x * (t1 - t0), times[0])
+    return jnp.where(jnp.any(reached), time, jnp.inf)
+
+
+def _hermite_root(cubic, level):
+    """Root in [0, 1] of the cubic with these end values and slopes, by bisection and Newton."""
+    v0, v1, m0, m1 = cubic
+
+    def gap(x):
+        rise = v1 - v0
+        value = v0 + x * (m0 + x * ((3 * rise - 2 * m0 - m1) + x * (m0 + m1 - 2 * rise)))
+        return value - level
+
+    def solve(function, x):
+        def halve(_, bracket):
+            low, high = bracket
+            middle = 0.5 * (low + high)
+            below = function(middle) < 0
+            return jnp.where(below, middle, low), jnp.where(below, high, middle)
+
+        return 0.5 * sum(lax.fori_loop(0, 60, halve, (jnp.zeros_like(x), jnp.ones_like(x))))
+
+    return lax.custom_root(
+        gap, 0.5 * jnp.ones_like(level), solve, lambda g, y: y / g(jnp.ones_like(y))
+    )
+
+
+def time_of_maximum(times: Float[Array, " k"], values: Float[Array, " k"]) -> Float[Array, ""]:
+    """Time of the largest value: vertex of the parabola through it and its two neighbours.
+
+    The sample's own time if it is the first or the last. Differentiable; the samples are held.
+    """
+    largest = jnp.argmax(values)
+    k = jnp.clip(largest, 1, values.shape[0] - 2)
+    t, v = lax.dynamic_slice_in_dim(times, k - 1, 3), lax.dynamic_slice_in_dim(values, k - 1, 3)
+    before, after = t[1] - t[0], t[2] - t[1]
+    distinct = (before > 0) & (after > 0)
+    before, after = jnp.where(distinct, before, 1.0), jnp.where(distinct, after, 1.0)
+    left, right = (v[1] - v[0]) / before, (v[2] - v[1]) / after
+    bend = right - left
+    inside = (largest == k) & distinct & (bend < 0)
+    bend = jnp.where(inside, bend, 1.0)
+    # the slope of the parabola falls linearly from `left` to `right` between the interval centres
+    vertex = 0.5 * (t[0] + t[1]) - left / bend * 0.5 * (before + after)
+    return jnp.where(inside, vertex, times[largest])
+
+
+def buckling_time(scene: Scene, run: Run) -> Float[Array, ""]:
+    """Time of the largest torsional energy of a run (section 4.3 of Goyal, Perkins & Lee)."""
+    torsion = lax.map(lambda s: energy.torsion_energy(scene, s), run.states)
+    return time_of_maximum(run.times, torsion)
+
+
+def apex_orthogonal_time(
+    run: Run, axis: Float[Array, "3"], origin: Float[Array, "3"] | None = None
+) -> Float[Array, ""]:
+    """First time at which the apex tangent is orthogonal to the loading axis; inf if never."""
+    angle = lax.map(lambda s: apex_angle(s, axis, origin), run.states)
+    return first_crossing(run.times, angle, 0.5 * jnp.pi)

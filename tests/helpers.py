@@ -1,0 +1,56 @@
+"""Small scenes and comparisons shared by the tests of the core modules."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from rodjax import rotations
+from rodjax.ends import Clamped, Slider, Turn
+from rodjax.loads import MorisonDrag
+from rodjax.rod import Rod, Section, straight_rod
+from rodjax.scene import Scene
+from rodjax.schedules import Smooth
+
+UNIT_SECTION = Section(
+    stiffness=(1.0, 1.3, 0.8), mass=1.0, rotary_inertia=(2e-3, 2e-3, 4e-3), diameter=0.1, area=8e-3
+)
+"""A section in units of the rod's length, bending stiffness and mass."""
+
+
+def random_arrays(seed: int, *shapes: tuple[int, ...]) -> list[jax.Array]:
+    """Standard normal arrays."""
+    generator = np.random.default_rng(seed)
+    return [jnp.asarray(generator.normal(size=shape)) for shape in shapes]
+
+
+def random_configuration(rod: Rod, seed: int, size: float = 0.3):
+    """Positions, frames and internal forces at a distance `size` from the rod's placing."""
+    n = rod.elements
+    shift, turn, force = random_arrays(seed, (n + 1, 3), (n + 1, 3), (n, 3))
+    frames = rotations.multiply(rod.quaternion, rotations.exponential(size * turn))
+    return rod.position + size * jnp.mean(rod.length) * shift, frames, force
+
+
+def relative_difference(value, expected) -> float:
+    """Largest difference of two arrays over the largest entry expected."""
+    value, expected = np.asarray(value), np.asarray(expected)
+    return float(np.max(np.abs(value - expected)) / np.max(np.abs(expected)))
+
+
+def order_of(steps, errors) -> float:
+    """Observed order of convergence: the slope of log error over log step by least squares."""
+    return float(np.polyfit(np.log(np.asarray(steps)), np.log(np.asarray(errors)), 1)[0])
+
+
+def driven_scene(elements: int = 12, section: Section = UNIT_SECTION, loads=None) -> Scene:
+    """A rod between a clamp that is shifted and twisted by smooth schedules, and a slider.
+
+    (Clamped at both ends, a straight inextensible rod would be over-constrained.)
+    """
+    if loads is None:
+        loads = (MorisonDrag(1.0, 2.0, 0.5),)
+    ramp = [0.0, 1.0, 10.0]
+    push = Smooth(ramp, [[0.0, 0.0, 0.0], [0.1, -0.05, 0.2], [0.1, -0.05, 0.2]])
+    first = Clamped(push, Turn((0.0, 0.0, 1.0), Smooth(ramp, [0.0, 2.0, 2.0])))
+    rod = straight_rod(1.0, elements, section, natural_curvature=(0.3, 0.1, 0.0))
+    return Scene(rod, first, Slider((0.0, 0.0, 1.0)), loads)

@@ -1,0 +1,326 @@
+"""Storage: what comes back is equal bit for bit, goes on bit for bit, and is never half written."""
+
+import h5py
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from helpers import driven_scene
+
+from rodjax import ends, loads, schedules, simulate, storage
+from rodjax.consistency import start
+from rodjax.contact import Contact
+from rodjax.contact_laws import (
+    Barrier,
+    DampedInversePower,
+    DebyeHueckel,
+    InversePower,
+    LennardJones,
+    Penalty,
+)
+from rodjax.generalized_alpha import GeneralizedAlpha
+from rodjax.results import Result
+from rodjax.rod import Section, straight_rod
+from rodjax.scene import Scene
+from rodjax.simulate import StepControl
+from rodjax.units import Units
+
+CHUNK = 8
+END = 1.0
+AXIS = (0.0, 0.0, 1.0)
+METHOD = GeneralizedAlpha(0.7)
+CONTROL = StepControl(absolute=1e-4)
+
+
+def _scene() -> Scene:
+    """Driven, sliding until it is held in the middle of the run."""
+    driven = driven_scene(elements=8)
+    held = ends.Switched(ends.Slider(AXIS), ends.Clamped(), 0.4)
+    return Scene(driven.rod, driven.first_end, held, driven.loads)
+
+
+@pytest.fixture(scope="module")
+def example():
+    """A scene and its uninterrupted run."""
+    scene = _scene()
+    run = simulate.adaptive_rollout(scene, start(scene), END, METHOD, CONTROL, chunk=CHUNK)
+    assert len(run.times) > 4 * CHUNK
+    return scene, run
+
+
+def assert_identical(a, b):
+    """Equal trees: structure, classes, dtypes and every bit."""
+    assert jax.tree.structure(a) == jax.tree.structure(b)
+    for x, y in zip(jax.tree.leaves(a), jax.tree.leaves(b), strict=True):
+        assert type(x) is type(y)
+        if isinstance(x, jax.Array | np.ndarray):
+            assert (x.dtype, x.shape) == (y.dtype, y.shape)
+            assert np.asarray(x).tobytes() == np.asarray(y).tobytes()
+        else:
+            assert x == y
+
+
+def test_everything_comes_back(example, tmp_path):
+    scene, run = example
+    measures = {"writhe": np.linspace(0, 1, len(run.times)), "nested": {"a": (1, 2.5, "x", None)}}
+    path = tmp_path / "deeper" / "run.h5"
+    storage.save(path, scene, run, method=METHOD, control=CONTROL, measures=measures)
+    stored = storage.load(path)
+    assert_identical(stored.scene, scene)
+    assert_identical(stored.run, run)
+    assert_identical(stored.method, METHOD)
+    assert_identical(stored.control, CONTROL)
+    assert_identical(stored.measures, measures)
+    assert stored.schedule is None
+    assert stored.steps_done == len(run.times) - 1
+    assert stored.units == Units()
+
+
+RAMP = schedules.PiecewiseLinear([0.0, 3.0], [[0.0, 0.0, 0.0], [0.1, 0.2, -0.0]])
+OBJECTS = [
+    ends.Free(),
+    ends.Pinned(RAMP),
+    ends.Clamped(RAMP, ends.Turn((1.0, 1.0, 1.0), schedules.Smooth([0.0, 1.0], [0.0, 1 / 3]))),
+    ends.Switched(
+        ends.Free(), ends.Switched(ends.Slider((0.1, 0.2, 0.3)), ends.Pinned(), 2.0), 1.0
+    ),
+    schedules.Constant(jnp.array([1.0, np.nan, np.inf])),
+    schedules.PiecewiseLinearRate([0.0, 0.1], [0.0, 0.7]),
+    loads.Gravity((0.0, 0.0, -9.81), fluid_density=1000.0),
+    loads.MorisonDrag(1000.0, 0.1, 0.01, current=(0.1, 0.0, 0.0), added_mass_coefficient=1.0),
+    loads.LinearDrag(1.0, 2.0),
+    loads.PointLoad(-1, force=RAMP, moment=schedules.Constant((0.0, 0.0, 1.0)), follower=True),
+    straight_rod(1.0, 4, Section(stiffness=(1.0, 2.0, 3.0), compliance=(0.1, 0.1, 0.0))),
+    StepControl(max_step=0.5, first_step=jnp.asarray(0.1)),
+    GeneralizedAlpha(0.5, tolerance=1e-9, max_iterations=7),
+    *(
+        Contact(law, points=50, cutoff=0.01, aperture=1.0, exclusion=0.05, capacities=(16, 50))
+        for law in (
+            DampedInversePower(offset=0.4),
+            InversePower(1.0, 3.0),
+            LennardJones(1.0, 0.01),
+            DebyeHueckel(1.0, 0.01),
+            Barrier(1e6),
+            Penalty(1e6),
+        )
+    ),
+]
+
+
+@pytest.mark.parametrize("thing", OBJECTS, ids=lambda thing: type(thing).__name__)
+def test_every_class_comes_back(example, tmp_path, thing):
+    storage.save(tmp_path / "run.h5", *example, measures={"thing": thing})
+    assert_identical(storage.load(tmp_path / "run.h5").measures, {"thing": thing})
+    if not isinstance(thing, schedules.AbstractSchedule):  # its unit is that of what it drives
+        with h5py.File(tmp_path / "run.h5") as file:
+            _assert_units(file["measures"])
+
+
+def test_single_precision_and_integers_keep_their_type(example, tmp_path):
+    single = jax.tree.map(
+        lambda x: x.astype(jnp.float32) if x.dtype == jnp.float64 else x, example[1]
+    )
+    storage.save(tmp_path / "run.h5", example[0], single)
+    assert_identical(storage.load(tmp_path / "run.h5").run, single)
+
+
+def test_double_precision_is_not_lost_silently(example, tmp_path):
+    storage.save(tmp_path / "run.h5", *example)
+    with jax.enable_x64(False), pytest.raises(storage.StorageError, match="jax_enable_x64"):
+        storage.load(tmp_path / "run.h5")
+
+
+def _assert_units(group):
+    bare = []
+
+    def check(name, item):
+        full = isinstance(item, h5py.Dataset) and item.attrs["KIND"] != "none"
+        if full and not item.attrs.get("units"):
+            bare.append(name)
+
+    group.visititems(check)
+    assert not bare
+
+
+def test_datasets_have_clear_names_and_units(example, tmp_path):
+    scene, run = example
+    units = Units("nm", "us", "fg", "pN")
+    measures, measure_units = {"gap": np.ones(len(run.times))}, {"gap": "1"}
+    storage.save(tmp_path / "run.h5", scene, run, units=units, measures=measures,
+                 measure_units=measure_units)  # fmt: skip
+    with h5py.File(tmp_path / "run.h5") as file:
+        _assert_units(file)
+        states = file["run/states"]
+        expected = {
+            "time": "us",
+            "position": "nm",
+            "quaternion": "1",
+            "velocity": "nm/us",
+            "angular_velocity": "rad/us",
+            "curvature": "rad/nm",
+            "force": "pN",
+            "acceleration": "nm/us^2 and rad/us^2",
+            "auxiliary": "nm/us^2 and rad/us^2",
+        }
+        assert {name: states[name].attrs["units"] for name in states} == expected
+        angle = file["scene/first_end/rotation/angle"]
+        assert (angle["values"].attrs["units"], angle["times"].attrs["units"]) == ("rad", "us")
+        assert file["scene/first_end/displacement/values"].attrs["units"] == "nm"
+        assert file["scene/rod/stiffness"].attrs["units"] == "pN nm^2"
+        assert file.attrs["format_version"] == storage.FORMAT_VERSION
+        assert file.attrs["rodjax_version"]
+        # kappa is not part of a state: it is written for those who read the file without rodjax
+        frames = np.asarray(run.states.quaternion)
+        relative = frames[-1, 0] @ frames[-1, 1]
+        angle = np.linalg.norm(states["curvature"][-1, 0]) * scene.rod.length[0]
+        assert np.cos(angle / 2) == pytest.approx(relative, abs=1e-12)
+    assert storage.load(tmp_path / "run.h5").units == units
+
+
+def _load_of(parameters, s, motion):
+    return jnp.zeros((s.shape[0], 6)) + parameters
+
+
+def test_functions_are_asked_for(example, tmp_path):
+    path = tmp_path / "run.h5"
+    base, run = example
+    load = loads.DistributedLoad(_load_of, parameters=jnp.asarray(0.5))
+    scene = Scene(base.rod, loads=(*base.loads, load))
+    storage.save(path, scene, run)
+    with pytest.raises(storage.StorageError, match=r"scene\.loads\[1\]\.function.*_load_of"):
+        storage.load(path)
+    stored = storage.load(path, functions={"scene.loads[1].function": _load_of})
+    assert_identical(stored.scene, scene)
+
+
+class Wind(loads.AbstractLoad):
+    """A user's load."""
+
+    strength: jax.Array
+
+    def wrench(self, rod, motion):
+        return jnp.zeros((rod.elements + 1, 6)) + self.strength
+
+
+def test_own_classes_are_asked_for(example, tmp_path):
+    path = tmp_path / "run.h5"
+    scene = Scene(example[0].rod, loads=(Wind(jnp.ones(6)),))
+    storage.save(path, scene, example[1])
+    with pytest.raises(storage.StorageError, match=r"scene\.loads\[0\].*Wind.*classes="):
+        storage.load(path)
+    assert_identical(storage.load(path, classes=[Wind]).scene, scene)
+
+
+def test_unstorable_objects_are_named_and_destroy_nothing(example, tmp_path):
+    path = tmp_path / "run.h5"
+    storage.save(path, *example)
+    before = path.read_bytes()
+    with pytest.raises(storage.StorageError, match=r"measures\.what: a set cannot be stored"):
+        storage.save(path, *example, measures={"what": {1, 2}})
+    assert path.read_bytes() == before
+    assert [entry.name for entry in tmp_path.iterdir()] == ["run.h5"]
+
+
+@pytest.mark.parametrize("where", ["write", "flush"])
+def test_interrupted_write_keeps_the_earlier_file(example, tmp_path, monkeypatch, where):
+    path = tmp_path / "run.h5"
+    storage.save(path, *example, measures={"number": 1})
+    before = path.read_bytes()
+
+    def interrupt(*args, **kwargs):
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        if where == "flush":
+            patch.setattr(storage.os, "fsync", interrupt)
+        else:
+            patch.setattr(storage, "curvature", interrupt)  # when most of it has been written
+        with pytest.raises(KeyboardInterrupt):
+            storage.save(path, *example, measures={"number": 2})
+    assert path.read_bytes() == before
+    assert [entry.name for entry in tmp_path.iterdir()] == ["run.h5"]
+    storage.save(path, *example, measures={"number": 2})
+    assert storage.load(path).measures == {"number": 2}
+
+
+def test_other_files_are_refused(tmp_path):
+    with pytest.raises(FileNotFoundError, match="nothing.h5"):
+        storage.load(tmp_path / "nothing.h5")
+    (tmp_path / "text.h5").write_text("not HDF5")
+    with pytest.raises(storage.StorageError, match="not an HDF5 file"):
+        storage.load(tmp_path / "text.h5")
+    with h5py.File(tmp_path / "other.h5", "w") as file:
+        file.attrs["format"] = "something else"
+    with pytest.raises(storage.StorageError, match="not written by"):
+        storage.load(tmp_path / "other.h5")
+
+
+def test_newer_format_is_refused(example, tmp_path):
+    storage.save(tmp_path / "run.h5", *example)
+    with h5py.File(tmp_path / "run.h5", "r+") as file:
+        file.attrs["format_version"] = storage.FORMAT_VERSION + 1
+    with pytest.raises(storage.StorageError, match="reads up to"):
+        storage.load(tmp_path / "run.h5")
+
+
+def _joined(first, rest):
+    """States and infos of a run and its continuation."""
+    states = jax.tree.map(lambda a, b: jnp.concatenate([a, b[1:]]), first.states, rest.states)
+    infos = jax.tree.map(lambda a, b: jnp.concatenate([a, b]), first.infos, rest.infos)
+    return states, infos
+
+
+@pytest.mark.parametrize("stop_after", [1, 3])
+def test_interrupted_run_goes_on_bit_for_bit(example, tmp_path, stop_after):
+    """Ctrl-C between two chunks: the parts seen so far are a run that can be stored and resumed.
+
+    No step bounds are given: those chosen for the whole run are part of the stored memory.
+    """
+    scene, whole = example
+    parts = []
+
+    def on_chunk(part):
+        parts.append(part)
+        if len(parts) == stop_after:
+            raise KeyboardInterrupt
+
+    first = start(scene)
+    with pytest.raises(KeyboardInterrupt):
+        simulate.adaptive_rollout(
+            scene, first, END, METHOD, CONTROL, chunk=CHUNK, on_chunk=on_chunk
+        )
+    interrupted = simulate.join_runs(first, parts)
+    assert len(interrupted.times) == 1 + stop_after * CHUNK
+    storage.save(tmp_path / "run.h5", scene, interrupted, method=METHOD, control=CONTROL)
+    rest = storage.load(tmp_path / "run.h5").resume(END, chunk=CHUNK)
+    assert_identical(_joined(interrupted, rest), (whole.states, whole.infos))
+    assert_identical(rest.control, whole.control)
+
+
+def test_run_stopped_anywhere_goes_on_bit_for_bit(example, tmp_path):
+    """A stop that is not at a multiple of the chunk: boundaries of chunks do not matter."""
+    scene, whole = example
+    stopped = simulate.adaptive_rollout(
+        scene, start(scene), END, METHOD, CONTROL, max_steps=5, throw=False
+    )
+    assert int(stopped.result) == Result.MAX_STEPS
+    storage.save(tmp_path / "run.h5", scene, stopped, method=METHOD, control=CONTROL)
+    rest = storage.load(tmp_path / "run.h5").resume(END, chunk=CHUNK)
+    assert_identical(_joined(stopped, rest), (whole.states, whole.infos))
+
+
+def test_schedule_goes_on_where_it_stopped(example, tmp_path):
+    scene, _ = example
+    schedule = jnp.linspace(0.0, 0.6, 13)[1:]
+    first = start(scene)
+    halves = [simulate.rollout(scene, first, schedule[:6], METHOD)]
+    path = tmp_path / "run.h5"
+    storage.save(path, scene, halves[0], method=METHOD, schedule=schedule)
+    halves.append(storage.load(path).resume())
+    # the same compiled program for either half: to be compared bit for bit
+    expected = simulate.rollout(scene, halves[0].final, schedule[6:], METHOD)
+    assert_identical(halves[1], expected)
+    assert float(halves[1].times[-1]) == float(schedule[-1])
+    storage.save(path, scene, expected, method=METHOD, schedule=schedule[6:])
+    with pytest.raises(ValueError, match="end_time"):
+        storage.load(path).resume()
