@@ -4,6 +4,7 @@ Both are one solve with the constrained mass matrix. A start out of equilibrium,
 that begins during a run, is first order or fails without them.
 """
 
+import equinox as eqx
 import jax
 import jax.core
 import jax.numpy as jnp
@@ -80,7 +81,7 @@ def start(
         jnp.zeros((nodes, 6), dtype),
         jnp.zeros((rod.elements, 3), dtype),
     )
-    return restart(scene, state)[0]
+    return _compiled_restart(scene, state)[0]
 
 
 def restart(scene: Scene, state: State) -> tuple[State, Float[Array, ""]]:
@@ -116,15 +117,13 @@ def restart(scene: Scene, state: State) -> tuple[State, Float[Array, ""]]:
 
     def constraint_rate(rate):
         """d gamma / dt of a motion with these rates, and its own rate at constant rates."""
-
-        def stretch(t):
-            position = state.position + t * rate[:, :3]
-            turn = rotations.exponential(t * rate[:, 3:])
-            return strains(rod, position, rotations.multiply(state.quaternion, turn)).stretch
-
-        zero, one = jnp.zeros_like(state.time), jnp.ones_like(state.time)
-        first = lambda t: jax.jvp(stretch, (t,), (one,))[1]
-        return jax.jvp(first, (zero,), (one,))
+        spin = jnp.concatenate([jnp.zeros_like(rate[:, :1]), 0.5 * rate[:, 3:]], 1)
+        turning = rotations.multiply(state.quaternion, spin)
+        return jax.jvp(
+            lambda r, q: balance.stretch_rate(rod, r, q, rate),
+            (state.position, state.quaternion),
+            (rate[:, :3], turning),
+        )
 
     motions = [
         ends.rates(end, state.time, state.quaternion[index])
@@ -175,6 +174,9 @@ def restart(scene: Scene, state: State) -> tuple[State, Float[Array, ""]]:
         state.time, state.position, state.quaternion, rate, acceleration, acceleration, force
     )
     return new, before - after
+
+
+_compiled_restart = eqx.filter_jit(restart)
 
 
 def _release(blocks: BlockTridiagonal, rigid: Float[Array, "n 3"]) -> BlockTridiagonal:

@@ -299,6 +299,8 @@ def pairs(
     p, pull = jax.vjp(magnitude, *inputs)
     slopes = [jnp.where(acts, g, 0.0) for g in pull(jnp.ones_like(p))]
     p = jnp.where(acts, p, 0.0)
+    # without the barrier XLA evaluates the law anew for each of the nine components below
+    p, slopes, n = lax.optimization_barrier((p, slopes, n))
     p_d, p_c, p_a, p_b = slopes
     over = p / distance
     along = p_d - p_c * by_velocity
@@ -312,16 +314,13 @@ def pairs(
         / distance
         for k in range(3)
     ]
-    # force on a is -P n; minus its derivative by x_b is +H, by x_a -H
-    h = jnp.stack(
-        [
-            jnp.stack(
-                [n[i] * (g[j] - over * n[j]) + (over if i == j else 0.0) for j in range(3)], 2
-            )
-            for i in range(3)
-        ],
-        1,
-    )  # (a, i, b, j)
+    # force on a is -P n; minus its derivative by x_b is +H, by x_a -H; axes (a, i, b, j). The
+    # barrier keeps XLA from evaluating all the above anew for each of the nine components
+    normal = jnp.stack(n, 1)  # (a, i, b)
+    rest = jnp.stack([gk - over * nk for gk, nk in zip(g, n, strict=True)], 2)  # (a, b, j)
+    normal, rest, over = lax.optimization_barrier((normal, rest, over))
+    eye = jnp.eye(3, dtype=over.dtype)[:, None, :]
+    h = normal[..., None] * rest[:, None] + over[:, None, :, None] * eye
     own = -jnp.sum(h, 2)
     index = jnp.arange(size)
     derivative = h.at[index, :, index, :].add(own)

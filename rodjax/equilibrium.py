@@ -118,7 +118,8 @@ class StaticEquations(eqx.Module):
         constraint = jnp.concatenate([x[:1, 3:6], constraint])
         return jnp.concatenate([constraint, wrench], 1)
 
-    def linearize(self, x):
+    def linearize(self, x) -> CoupledSystem | AnchoredSystem:
+        """Derivative of the residual by the increments that `lift` takes."""
         scene, scales = self.scene, self.scales
         motion = self.motion(x)
         tangent = balance.element_tangent(
@@ -132,7 +133,11 @@ class StaticEquations(eqx.Module):
             eye = jnp.eye(6, dtype=x.dtype)
             held = balance.assemble(scene.rod, tangent, node, (eye, jnp.zeros_like(eye)), scales)
             system = AnchoredSystem(system, CoupledSystem(held))
-        return self.residual(x), system
+        return system
+
+    def newton_increment(self, x):
+        """Newton's increment."""
+        return self.linearize(x).solve(-self.residual(x))
 
     def lift(self, x, dx):
         """Increment of x for solved increments, whose rotations are body spins."""
@@ -317,7 +322,7 @@ def _root_jvp(primals, tangents):
     equations, x = primals
     x = _root(equations, x)
     _, dr = eqx.filter_jvp(lambda e: e.residual(x), (equations,), (tangents[0],))
-    _, system = equations.linearize(x)
+    system = equations.linearize(x)
     dx = lax.custom_linear_solve(
         system.multiply,
         -dr,

@@ -8,6 +8,7 @@ An inextensible, unshearable rod has gamma = e3. Both are objective: a rigid mot
 from typing import NamedTuple
 
 import jax.numpy as jnp
+from jax import lax
 from jaxtyping import Array, Float
 
 from rodjax import rotations
@@ -47,7 +48,8 @@ def strains(
     frame = rotations.matrix(rotations.multiply(quaternion[:-1], halfway(relative)))
     edge = (position[1:] - position[:-1]) / rod.length[:, None]
     stretch = jnp.einsum("nji,nj->ni", frame, edge)
-    return Strains(rotations.logarithm(relative), frame, stretch)
+    # the barrier keeps XLA from evaluating the rotations anew in every kernel that reads them
+    return Strains(*lax.optimization_barrier((rotations.logarithm(relative), frame, stretch)))
 
 
 def curvature(rod: Rod, quaternion: Float[Array, "nodes 4"]) -> Float[Array, "n 3"]:

@@ -66,20 +66,19 @@ def writhe(
     start = edges[0] / jnp.linalg.norm(edges[0]) if start_direction is None else start_direction
     end = edges[-1] / jnp.linalg.norm(edges[-1]) if end_direction is None else end_direction
     pairs = _sum_over_pairs(vertices[:-1], vertices[1:], closed)
-    there, back = jnp.concatenate([start[None, :], edges, end[None, :]]), start[None, :]
+    there = jnp.concatenate([start[None, :], edges, end[None, :]])
     if extension is None:
         angles = _extension_angles(vertices, start, end, jnp.zeros_like(length))
-        return (
-            _with_local_derivative(pairs + jnp.sum(angles), jnp.concatenate([there, back])) / jnp.pi
-        )
+        round_trip = jnp.concatenate([there, start[None, :]])
+        return _with_local_derivative(pairs + jnp.sum(angles), round_trip) / jnp.pi
     # the pair of the two extensions apart: its infinite limit may not exist
     inverse = jnp.stack([jnp.zeros_like(length), length / extension])
     by_inverse = jax.vmap(_extension_angles, (None, None, None, 0))
     infinite, finite = by_inverse(vertices, start, end, inverse)
-    most = jnp.sum(infinite[:-1])
-    back = jnp.concatenate([vertices[-1:] - vertices[:1], back])
-    total = _with_local_derivative(pairs + most, jnp.concatenate([there, back]))
-    return (total - most + jnp.sum(finite)) / jnp.pi
+    others = jnp.sum(infinite[:-1])
+    round_trip = jnp.concatenate([there, vertices[-1:] - vertices[:1], start[None, :]])
+    total = _with_local_derivative(pairs + others, round_trip)
+    return (total - others + jnp.sum(finite)) / jnp.pi
 
 
 def twist(
@@ -239,7 +238,9 @@ def _extension_angles(
     a, c = start + inverse * chord, end + inverse * chord
     both = [vector[None, :] for vector in (a, start + c, c, chord, end, start)]
     parts = [rays(vertices, start), rays(vertices[::-1], -end), both]  # reversal keeps the writhe
-    a, b, c, d, segment, direction = (jnp.concatenate(part).T for part in zip(*parts, strict=True))
+    a, b, c, d, segment, direction = (
+        tuple(jnp.concatenate(part).T) for part in zip(*parts, strict=True)
+    )
     triple = _triple(d, segment, direction)
     return _half_solid_angle(a, b, c, d, inverse * triple, triple)
 

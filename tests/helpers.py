@@ -1,8 +1,10 @@
 """Small scenes and comparisons shared by the tests of the core modules."""
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax import lax
 
 from rodjax import rotations
 from rodjax.ends import Clamped, Slider, Turn
@@ -10,6 +12,7 @@ from rodjax.loads import MorisonDrag
 from rodjax.rod import Rod, Section, straight_rod
 from rodjax.scene import Scene
 from rodjax.schedules import Smooth
+from rodjax.step import step
 
 UNIT_SECTION = Section(
     stiffness=(1.0, 1.3, 0.8), mass=1.0, rotary_inertia=(2e-3, 2e-3, 4e-3), diameter=0.1, area=8e-3
@@ -54,3 +57,27 @@ def driven_scene(elements: int = 12, section: Section = UNIT_SECTION, loads=None
     first = Clamped(push, Turn((0.0, 0.0, 1.0), Smooth(ramp, [0.0, 2.0, 2.0])))
     rod = straight_rod(1.0, elements, section, natural_curvature=(0.3, 0.1, 0.0))
     return Scene(rod, first, Slider((0.0, 0.0, 1.0)), loads)
+
+
+@eqx.filter_jit
+def advance_to(scene, state, end, count, method):
+    """State after `count` equal steps to the time `end`, and the worst result of the steps.
+
+    All of them are traced: one compilation serves every step size.
+    """
+    begin = state.time
+
+    def one(i, carry):
+        now, worst = carry
+        now, info = step(scene, now, begin + (end - begin) * ((i + 1) / count), method)
+        return now, jnp.maximum(worst, info.result)
+
+    carry = (state, jnp.asarray(0, jnp.int32))
+    return lax.fori_loop(0, jnp.asarray(count), one, carry)
+
+
+def final_state(scene, state, end, count, method):
+    """State after `count` equal steps that must all succeed."""
+    final, worst = advance_to(scene, state, jnp.asarray(end), jnp.asarray(count), method)
+    assert int(worst) == 0
+    return final

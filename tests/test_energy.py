@@ -132,8 +132,7 @@ def test_energies_under_vmap_and_jit():
 def test_torque_of_a_twisted_rod_is_that_of_theory():
     """C 2 pi turns / L about the tangent: +, on the end s = 0 that was turned by -turns."""
     scene = Scene(rod.straight_rod(2.0, ELEMENTS, UNIT_SECTION), Clamped(), Slider((0, 0, 1)))
-    state = start(scene, quaternion=twisted(scene.rod, 0.5).quaternion)
-    found = reactions(scene, state)
+    found = energy.reactions(scene, twisted(scene.rod, 0.5))
     torque = 0.8 * 2 * np.pi * 0.5 / 2.0
     np.testing.assert_allclose(found.torque, [-torque * AXIS, torque * AXIS], atol=1e-11)
     np.testing.assert_allclose(found.force, 0, atol=1e-11)
@@ -150,7 +149,7 @@ def test_reaction_of_a_clamp_in_inertial_and_body_axes():
         circle, 1.0, 40, UNIT_SECTION, first_director=(0, 0, 1), stress_free=False
     )
     scene = Scene(bent, Clamped(), Clamped())
-    found = reactions(scene, start(scene))
+    found = energy.reactions(scene, state_of(bent))
     couple = np.array([0.0, 0.0, 1 / radius])  # on s = 0, bending stiffness 1 about a_1 = e_3
     np.testing.assert_allclose(found.torque[0], couple, atol=1e-2)
     np.testing.assert_allclose(found.torque[1], -couple, atol=1e-2)
@@ -162,22 +161,30 @@ def test_reaction_of_a_clamp_in_inertial_and_body_axes():
 
 def test_reactions_only_where_an_end_constrains():
     """A pin gives no torque, a slider no force along its axis, a free end nothing."""
-    a_rod = rod.straight_rod(1.0, ELEMENTS, UNIT_SECTION)
-    scene = Scene(a_rod, Pinned(), Slider((0, 0, 1)), (Gravity((3.0, 4.0, -9.0)),))
-    found = reactions(scene, start(scene))
+    a_rod = rod.straight_rod(1.0, ELEMENTS, UNIT_SECTION, natural_curvature=(0.5, 0.4, 0.3))
+    state = state_of(a_rod, force=jnp.ones((ELEMENTS, 3)))
+    found = energy.reactions(Scene(a_rod, Pinned(), Slider((0, 0, 1))), state)
     np.testing.assert_array_equal(found.torque[0], 0)
-    assert abs(found.force[1, 2]) < 1e-14
-    assert np.linalg.norm(found.force[1]) > 0.1
-    assert np.linalg.norm(found.torque[1]) > 0.01
+    assert found.force[1, 2] == 0
+    assert np.all(np.abs(found.force[0]) > 0.1)
+    assert np.all(np.abs(found.force[1, :2]) > 0.1)
+    assert np.all(np.abs(found.torque[1]) > 0.1)
+    loose = energy.reactions(Scene(a_rod, Free(), Clamped()), state)
+    np.testing.assert_array_equal([loose.force[0], loose.torque[0]], 0)
+
+
+def hanging(direction, end_force):
+    """A heavy rod pinned at s = 0, its weight 1 x 9 along e3, with a dead load on its end."""
+    loads = (Gravity((0.0, 0.0, 9.0)), PointLoad(-1, force=Constant(end_force)))
+    a_rod = rod.straight_rod(1.0, 4, UNIT_SECTION, direction=direction)
+    return Scene(a_rod, Pinned(), Free(), loads)
 
 
 def test_weight_of_a_hanging_rod():
-    """The clamp carries the weight, and the moment of a weight beside it."""
-    loads = (Gravity((0.0, 0.0, 9.0)), PointLoad(-1, force=Constant([0.0, 0.0, 2.0])))
-    scene = Scene(rod.straight_rod(2.0, ELEMENTS, UNIT_SECTION), Clamped(), Free(), loads)
+    """The pin carries the weight and the load on the end."""
+    scene = hanging((0.0, 0.0, 1.0), [0.0, 0.0, 2.0])
     found = reactions(scene, start(scene))
-    np.testing.assert_allclose(found.force[0], [0, 0, -2.0 * 9.0 - 2.0], atol=1e-9)
-    np.testing.assert_allclose(found.torque[0], 0, atol=1e-9)
+    np.testing.assert_allclose(found.force[0], [0, 0, -9.0 - 2.0], atol=1e-9)
     np.testing.assert_array_equal(found.force[1], 0)
 
 
@@ -205,28 +212,25 @@ def smooth_twist(turns, until=1.0):
     return Turn(AXIS, Smooth([0.0, until, 1e3], [0.0, -2 * np.pi * turns, -2 * np.pi * turns]))
 
 
-def everything(elements=ELEMENTS):
-    """A driven rod with every kind of load, an end load and added mass."""
-    section = eqx.tree_at(lambda s: s.stiffness, UNIT_SECTION, (1.0, 1.0, 0.8))
-    a_rod = rod.straight_rod(1.0, elements, section, natural_curvature=(0.5, 0.0, 0.0))
+def everything():
+    """A driven rod with every kind of load, all frequencies of its grid low enough to resolve."""
+    inertia = (0.05, 0.05, 0.1)
+    section = eqx.tree_at(lambda s: s.rotary_inertia, UNIT_SECTION, inertia)
     push = lambda time: jnp.array([0.5, 0.2, -0.3]) * jnp.sin(2 * time) ** 2
     spread = lambda strength, s, motion: (
         strength
-        * jnp.concatenate(
-            [jnp.sin(motion.time) * jnp.cos(motion.position), 0.1 * motion.position], 1
-        )
+        * jnp.concatenate([jnp.sin(motion.time) * jnp.cos(motion.position), motion.position], 1)
     )
     loads = (
         Gravity((1.0, 0.0, -2.0), fluid_density=20.0),
         MorisonDrag(5.0, 2.0, 0.5, added_mass_coefficient=10.0),
         LinearDrag(0.5, 0.2, 0.1),
-        PointLoad(-1, force=Function(push), moment=Constant([0.1, 0.2, 0.1]), follower=True),
+        PointLoad(-1, force=Function(push), moment=Function(push), follower=True),
         DistributedLoad(spread, jnp.asarray(0.5)),
     )
-    drive = Clamped(
-        Smooth([0.0, 1.0, 9.0], [[0.0] * 3, [0.1, 0.0, 0.1], [0.1, 0.0, 0.1]]), smooth_twist(0.3)
-    )
-    return Scene(a_rod, drive, Free(), loads)
+    shift = Smooth([0.0, 1.0, 9.0], [[0.0] * 3, [0.1, 0.0, 0.1], [0.1, 0.0, 0.1]])
+    a_rod = rod.straight_rod(1.0, 3, section)
+    return Scene(a_rod, Clamped(shift, smooth_twist(0.3)), Free(), loads)
 
 
 @pytest.fixture(scope="module")
@@ -234,7 +238,7 @@ def refined():
     """Ledgers of the driven, loaded and damped rod with halved steps."""
     scene = everything()
     state = start(scene)
-    steps = (20, 40, 80, 160)
+    steps = (40, 80, 160, 320)
     return [(n, energy.ledger(scene, run_over(scene, state, 0.8, n, steps[-1]))) for n in steps]
 
 
@@ -248,8 +252,8 @@ def test_ledger_balances_at_second_order(refined):
     for name in ("axial", "contact_work", "projection_loss"):
         np.testing.assert_array_equal(getattr(last, name), 0)
     errors = [float(book.balance_error) for _, book in refined]
-    assert errors[-1] < 1e-3
-    assert order_of([1 / n for n, _ in refined], errors) == pytest.approx(2.0, abs=0.15)
+    assert errors[-1] < 1e-5
+    assert order_of([1 / n for n, _ in refined], errors) == pytest.approx(2.0, abs=0.1)
 
 
 @pytest.mark.parametrize("name", ["drive_work", "load_work", "drag_loss", "damping_loss"])
@@ -258,7 +262,7 @@ def test_ledger_columns_converge_at_second_order(refined, name):
     ends = np.array([float(getattr(book, name)[-1]) for _, book in refined])
     differences = np.abs(np.diff(ends))
     steps = [1 / n for n, _ in refined[:-1]]
-    assert order_of(steps, differences) == pytest.approx(2.0, abs=0.25)
+    assert order_of(steps, differences) == pytest.approx(2.0, abs=0.1)
 
 
 @pytest.fixture(scope="module")
@@ -267,7 +271,7 @@ def slow_twist():
     a_rod = rod.straight_rod(1.0, ELEMENTS, UNIT_SECTION)
     drive = Clamped(rotation=smooth_twist(0.4, 2.0))
     scene = Scene(a_rod, drive, Slider((0, 0, 1)), (LinearDrag(0.1, 0.1, 0.05),))
-    return scene, run_over(scene, start(scene), 4.0, 200)
+    return scene, run_over(scene, state_of(a_rod), 4.0, 200)
 
 
 def test_work_of_a_slow_twist_is_the_torsional_energy(slow_twist):
@@ -299,15 +303,18 @@ def test_ledger_is_differentiable(slow_twist):
     np.testing.assert_allclose(found, (high - low) / 2e-3, rtol=1e-6)
 
 
-def test_gravity_pendulum():
-    """A pinned rod falls: nothing works on it, potential becomes kinetic energy."""
-    a_rod = rod.straight_rod(1.0, 4, UNIT_SECTION, direction=(1.0, 0.0, 0.0))
-    scene = Scene(a_rod, Pinned(), Free(), (Gravity((0.0, 0.0, -9.81)),))
+def test_gravity_pendulum_with_a_point_load():
+    """A pinned rod falls, pulled at its end: no drive works, the load by force times way."""
+    scene = hanging((1.0, 0.0, 0.0), [0.5, 0.0, 1.0])
     state = start(scene)
     errors = []
     for steps in (50, 100):
-        book = energy.ledger(scene, run_over(scene, state, 0.3, steps, 100))
-        np.testing.assert_allclose(book.work, 0, atol=1e-12)
+        run = run_over(scene, state, 0.3, steps, 100)
+        book = energy.ledger(scene, run)
+        np.testing.assert_allclose(book.drive_work, 0, atol=1e-12)
+        way = run.states.position[-1, -1] - run.states.position[0, -1]
+        work = way @ jnp.array([0.5, 0.0, 1.0])
+        assert book.load_work[-1] == pytest.approx(float(work), rel=1e-12)
         assert book.kinetic[-1] > 1.0
         errors.append(float(jnp.max(jnp.abs(book.residual)) / book.kinetic[-1]))
     assert errors[1] < 1e-3
@@ -345,11 +352,13 @@ def test_contact_forces_and_work_enter_reactions_and_ledger():
             return np.array([radius * (1 - np.cos(angle)), straight + radius * np.sin(angle), 0.0])
         return np.array([2 * radius, straight - (s - straight - np.pi * radius), 0.0])
 
-    section = eqx.tree_at(lambda s: s.diameter, UNIT_SECTION, 0.02)
+    section = eqx.tree_at(
+        lambda s: (s.diameter, s.rotary_inertia), UNIT_SECTION, (0.02, (0.02, 0.02, 0.02))
+    )
     a_rod = rod.curved_rod(hairpin, length, 24, section)
-    law = contact_laws.InversePower(1e-3, 2.0)
+    law = contact_laws.InversePower(1e-2, 2.0)
     touching = contact.Contact(law, 24, 0.15, exclusion=0.3, capacities=(24,))
-    scene = Scene(a_rod, Clamped(), Clamped(), (LinearDrag(0.5, 0.5, 0.1),), touching)
+    scene = Scene(a_rod, Clamped(), Clamped(), (LinearDrag(20.0, 20.0, 0.1),), touching)
     state = start(scene)
     wrench = energy.contact_wrench(scene, state)
     force = np.asarray(wrench[:, :3])
@@ -364,9 +373,9 @@ def test_contact_forces_and_work_enter_reactions_and_ledger():
     pushed, free = reactions(scene, state), reactions(apart, state)
     np.testing.assert_allclose((pushed.force - free.force), -force[jnp.array([0, -1])], atol=1e-12)
     errors = []
-    for steps in (25, 50):
-        book = energy.ledger(scene, run_over(scene, state, 0.5, steps, 50))
+    for steps in (50, 100):
+        book = energy.ledger(scene, run_over(scene, state, 0.5, steps, 100))
         assert book.contact_work[-1] < 0  # the strands are pushed apart
         errors.append(float(jnp.max(jnp.abs(book.residual))) / -float(book.contact_work[-1]))
-    assert errors[1] < 1e-2
-    assert 2.8 < errors[0] / errors[1] < 6
+    assert errors[1] < 1e-3
+    assert errors[1] < errors[0] / 2.8

@@ -1,5 +1,7 @@
 """Writhe, twist and linking number against references, invariances and finite differences."""
 
+from functools import partial
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -277,15 +279,14 @@ def test_straight_rod_has_no_writhe_and_finite_derivatives(direction, extension)
 
 
 def test_transforms_and_single_precision():
-    frames = jnp.stack([clamped_curve(seed, 31) for seed in range(3)])
+    frames = jnp.stack([clamped_curve(seed) for seed in range(3)])
     expected = jnp.stack([compiled_writhe(frame) for frame in frames])
     assert jnp.max(jnp.abs(expected)) > 0.1
     mapped = jax.jit(lambda x: lax.map(topology.writhe, x))(frames)
     np.testing.assert_allclose(mapped, expected, rtol=1e-12)
-    gradient = jax.value_and_grad(topology.writhe)
-    batched, gradients = jax.jit(jax.vmap(gradient))(frames)
+    batched, gradients = jax.jit(jax.vmap(jax.value_and_grad(topology.writhe)))(frames)
     np.testing.assert_allclose(batched, expected, rtol=1e-12)
-    np.testing.assert_allclose(gradients[1], jax.jit(gradient)(frames[1])[1], rtol=1e-9)
+    np.testing.assert_allclose(gradients[1], value_and_gradient(frames[1])[1], rtol=1e-9)
     single = compiled_writhe(frames[0].astype(jnp.float32))
     assert single.dtype == jnp.float32
     assert single == approx(expected[0], abs=1e-5)
@@ -337,6 +338,7 @@ def test_parallel_transported_frames_have_no_twist():
 def test_twist_integral_agrees_at_second_order():
     curvature = jnp.array([1.5, -0.7, 2.0])
 
+    @partial(jax.jit, static_argnums=0)
     def pair(elements):
         ds = 1 / elements
         stations = ds * (jnp.arange(elements) + 0.5)
@@ -414,7 +416,7 @@ def test_linking_number_depends_on_the_end_frames_only():
     gradient = jax.jit(jax.grad(function, (0, 1, 2)))
     by_position, by_frame, by_angle = gradient(positions, frames, 0.0)
     spin = rotations.multiply(frames, jnp.tile(jnp.array([[0.0, 1.0, -2.0, 0.5]]), (80, 1)))
-    assert jnp.max(jnp.abs(jax.jit(jax.grad(topology.writhe))(positions))) > 0.1
+    assert jnp.max(jnp.abs(value_and_gradient(positions)[1])) > 0.1
     assert jnp.max(jnp.abs(by_position)) < 1e-10
     assert jnp.max(jnp.abs(jnp.sum(by_frame * spin, axis=1))) < 1e-12
     assert by_angle == approx(-1 / (2 * np.pi), rel=1e-12)

@@ -1,0 +1,52 @@
+"""The solver of systems without inertia against dense linear algebra, for every pair of ends."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from helpers import UNIT_SECTION, random_arrays, random_configuration, relative_difference
+
+from rodjax.anchored import AnchoredSystem
+from rodjax.balance import Scales, assemble, element_tangent
+from rodjax.coupled import CoupledSystem
+from rodjax.ends import Clamped, Free, Pinned, Slider
+from rodjax.rod import straight_rod
+
+ELEMENTS = 10
+ENDS = {
+    "free-clamped": (Free(), Clamped()),
+    "clamped-free": (Clamped(), Free()),
+    "slider-clamped": (Slider((0, 0, 1)), Clamped()),
+    "slider-pinned": (Slider((0, 0, 1)), Pinned()),
+    "pinned-slider": (Pinned(), Slider((0, 0, 1))),
+    "sliders": (Slider((0, 0, 1)), Slider((1, 0, 1))),
+}
+
+
+@jax.jit
+def solutions(first, last, bent, b):
+    """The matrix, and the solutions by the anchored system and its transpose."""
+    rod = straight_rod(1.0, ELEMENTS, UNIT_SECTION)
+    position, quaternion, force = random_configuration(rod, 3)
+    straight = rod.position, rod.quaternion, jnp.zeros_like(force)
+    choose = lambda a, b: jnp.where(bent, a, b)
+    state = jax.tree.map(choose, (position, quaternion, force), straight)
+    scales = Scales(jnp.asarray(0.1), jnp.asarray(100.0))
+    tangent = element_tangent(rod, *state)
+    node = jnp.zeros((ELEMENTS + 1, 6, 6))
+    eye = jnp.eye(6)
+    held = lambda *both: CoupledSystem(assemble(rod, tangent, node, both, scales))
+    system = AnchoredSystem(held(first, last), held(eye, 0 * eye))
+    columns = jnp.eye(b.size).reshape(b.size, *b.shape)
+    matrix = jax.vmap(system.multiply)(columns).reshape(b.size, b.size).T
+    return matrix, system.solve(b).ravel(), system.solve_transpose(b).ravel()
+
+
+@pytest.mark.parametrize("bent", [False, True])
+@pytest.mark.parametrize("ends", ENDS.values(), ids=ENDS)
+def test_solutions_are_those_of_dense_algebra(ends, bent):
+    (b,) = random_arrays(1, (ELEMENTS + 1, 9))
+    both = [end.projector(jnp.zeros(())) for end in ends]
+    matrix, solved, transposed = solutions(*both, jnp.asarray(bent), b)
+    assert relative_difference(solved, np.linalg.solve(matrix, b.ravel())) < 1e-10
+    assert relative_difference(transposed, np.linalg.solve(matrix.T, b.ravel())) < 1e-10
