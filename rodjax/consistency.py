@@ -5,6 +5,8 @@ that begins during a run, is first order or fails without them.
 """
 
 import equinox as eqx
+import dataclasses
+
 import jax
 import jax.core
 import jax.numpy as jnp
@@ -148,9 +150,10 @@ def restart(scene: Scene, state: State) -> tuple[State, Float[Array, ""]]:
         wrench = total_wrench(scene.loads, rod, still) - elastic
         rate, force = solve(wrench, given / scales.force, (motions[0][0], motions[1][0]))
         zero = jnp.zeros_like(rate)
-        return State(state.time, state.position, state.quaternion, rate, zero, zero, force), (
-            jnp.zeros_like(state.time)
+        new = dataclasses.replace(
+            state, rate=rate, acceleration=zero, auxiliary=zero, force=force
         )
+        return new, jnp.zeros_like(state.time)
 
     before = inertia.kinetic_energy(scene, motion)
     gap = [m[0] - state.rate[i] for i, m in zip((0, -1), motions, strict=True)]
@@ -170,8 +173,8 @@ def restart(scene: Scene, state: State) -> tuple[State, Float[Array, ""]]:
         wrench = wrench.at[:, :3].add(pushed)
     right = jnp.where(rigid > 0, -constraint_rate(rate)[1], given / scales.force)
     acceleration, force = solve(wrench, right, (motions[0][1], motions[1][1]))
-    new = State(
-        state.time, state.position, state.quaternion, rate, acceleration, acceleration, force
+    new = dataclasses.replace(
+        state, rate=rate, acceleration=acceleration, auxiliary=acceleration, force=force
     )
     return new, before - after
 

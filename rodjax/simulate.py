@@ -16,7 +16,7 @@ from rodjax.generalized_alpha import GeneralizedAlpha
 from rodjax.results import Result
 from rodjax.scene import Scene
 from rodjax.state import State
-from rodjax.step import StepInfo, step
+from rodjax.step import StepInfo, prepare, step
 
 
 class Run(eqx.Module):
@@ -85,6 +85,7 @@ def rollout(
         ValueError: times or schedules do not fit (checked outside traced code).
         SimulationError: a step failed.
     """
+    state = prepare(scene, state)
     times = jnp.asarray(times, state.position.dtype)
     if times.ndim != 1 or times.shape[0] < 1 or times.shape[0] % save_every:
         raise ValueError(
@@ -229,6 +230,7 @@ def adaptive_rollout(
     if not span > 0:
         raise ValueError(f"end_time: must lie after the state's time {float(state.time):g}")
     scene.check_until(float(end_time))
+    state = prepare(scene, state)
     dtype = state.position.dtype
     method.check_precision(dtype)
     tolerances = _tolerances(control, dtype)
@@ -278,6 +280,7 @@ def compile_adaptive_rollout(
 ) -> None:
     """Compile the loop of `adaptive_rollout` for this scene and chunk without taking a step."""
     control, dtype = StepControl(), state.position.dtype
+    state = prepare(scene, state)
     memory, tolerances = _memory(control, 1.0, dtype), _tolerances(control, dtype)
     out = _adaptive_chunk(scene, state, memory, state.time, method, tolerances, chunk)
     jax.block_until_ready(out.accepted)
@@ -326,6 +329,8 @@ def _adaptive_chunk(scene, state, control, end_time, method, tolerances, size):
                 info.error_twisting / allowed(info.growth_twisting, 0.05 / absolute),
             ),
         )
+        # the shock of a new constraint is not resolved but damped: keep the step through it
+        error = jnp.where(info.settling, 0.5, error)
         error = jnp.where(failed, 8.0, jnp.maximum(error, 1e-6))
         accept = ~failed & (error <= 1.0)
         factor = jnp.clip(0.85 * error ** (-1 / 3), 0.25, loop.control.growth)

@@ -1,7 +1,7 @@
 """What the next step needs to know, and nothing else."""
 
 import equinox as eqx
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 
 class State(eqx.Module):
@@ -9,7 +9,8 @@ class State(eqx.Module):
 
     `rate` holds v in inertial and omega in body components, `acceleration` their derivatives,
     `auxiliary` the algorithmic acceleration of generalised-alpha, `force` the internal force f
-    in the element frames.
+    in the element frames. `settling` counts the steps still to be damped most after a constraint
+    began (None in scenes whose constraints never change).
     """
 
     time: Float[Array, ""]
@@ -19,6 +20,7 @@ class State(eqx.Module):
     acceleration: Float[Array, "nodes 6"]
     auxiliary: Float[Array, "nodes 6"]
     force: Float[Array, "n 3"]
+    settling: Int[Array, ""] | None = None
 
     @property
     def velocity(self) -> Float[Array, "nodes 3"]:

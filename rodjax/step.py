@@ -1,11 +1,12 @@
 """One step of the motion: equations of the step's end, their Newton system, and restarts."""
 
+import dataclasses
 from typing import NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
 from jax import lax
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
 from rodjax import balance, contact, ends, newton, rotations
 from rodjax.balance import Scales
@@ -37,6 +38,12 @@ class StepInfo(NamedTuple):
     growth_bending: Float[Array, ""]  # rotation of a tangent [rad]
     growth_twisting: Float[Array, ""]  # rotation about one [rad]
     projection_loss: Float[Array, ""]  # kinetic energy lost where a constraint began [J]
+    settling: Bool[Array, ""]  # damped most, just after a constraint began
+
+
+# Steps after a constraint began that are taken with spectral radius 0: its shock excites modes
+# that no step of practical size resolves, and without damping they ring on in the forces.
+SETTLING_STEPS = 4
 
 
 class Nearby(NamedTuple):
@@ -308,6 +315,13 @@ def node_tangent(scene, motion, acceleration, turn, by_velocity, by_acceleration
     return node_jacobian(wrench, jnp.zeros((scene.rod.elements + 1, 6), dtype))
 
 
+def prepare(scene: Scene, state: State) -> State:
+    """The state with the count of settling steps that a scene with switches needs."""
+    if scene.switch_times and state.settling is None:
+        return dataclasses.replace(state, settling=jnp.asarray(0, jnp.int32))
+    return state
+
+
 def step(
     scene: Scene,
     state: State,
@@ -321,10 +335,14 @@ def step(
     `StepInfo.result`, never raised.
     """
     loss = jnp.zeros((), state.position.dtype)
+    radius, settling = method.spectral_radius, None
     if scene.switch_times:
+        state = prepare(scene, state)
         switches = jnp.any(jnp.stack([t == state.time for t in scene.switch_times]))
         state, loss = lax.cond(switches, lambda s: restart(scene, s), lambda s: (s, loss), state)
-    equations = StepEquations(scene, state, stop, method.spectral_radius)
+        settling = jnp.where(switches, SETTLING_STEPS, state.settling)
+        radius = jnp.where(settling > 0, 0.0, radius)
+    equations = StepEquations(scene, state, stop, radius)
     guess = equations.guess()
     if scene.contact is not None:
         # tangents for the apertures: predicted, which keeps second order without coupling
@@ -333,7 +351,7 @@ def step(
         turned = rotations.multiply(state.quaternion, rotations.exponential(expected[:, 3:]))
         motion = NodeMotion(stop, state.position, turned, state.velocity, state.angular_velocity)
         nearby = find_nearby(scene, motion, expected[:, :3])
-        equations = StepEquations(scene, state, stop, method.spectral_radius, nearby)
+        equations = StepEquations(scene, state, stop, radius, nearby)
         guess = equations.limited(guess)
     tolerance = method.newton_tolerance(state.position.dtype)
     x, solved = newton.solve(equations, guess, tolerance, method.max_iterations)
@@ -351,6 +369,7 @@ def step(
         acceleration,
         auxiliary,
         equations.force(x),
+        None if settling is None else jnp.maximum(settling - 1, 0).astype(jnp.int32),
     )
     error = local_error(c, state.auxiliary, auxiliary)
     largest = lambda v: jnp.sqrt(jnp.max(jnp.sum(lax.stop_gradient(v) ** 2, 1)))
@@ -381,5 +400,6 @@ def step(
         growth_bending=largest(increment[:, 3:5]),
         growth_twisting=largest(increment[:, 5:]),
         projection_loss=loss,
+        settling=jnp.asarray(False) if settling is None else settling > 0,
     )
     return new, info

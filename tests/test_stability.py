@@ -18,11 +18,11 @@ from rodjax.stability import stability
 from rodjax.vibration import vibration
 
 # multiples of eight: elements of equal length with the neck's ends on nodes
-GRIDS = (32, 48, 64, 96)
+GRIDS = (16, 24, 40, 64)
 FINE = 128
 
 UNIFORM_MOMENT, NECKED_MOMENT = 8.986819, 7.531815
-"""M L/A at which the straight rod buckles under torsion: tan x = x with x = M L/2A; with the neck."""
+"""M L/A at which the straight rod buckles under torsion, tan x = x with x = M L/2A; and necked."""
 UNIFORM_FREQUENCY = {0: 22.37329, 4: 20.57263, 6: 17.74402, 7: 15.34705, 8: 11.52657}
 NECKED_GROWTH = {8: 9.8404, 9: 19.4983, 10: 28.7864}
 
@@ -91,9 +91,9 @@ def test_growth_rate_of_a_necked_rod(moment):
         assert float(found.frequency[0]) == 0.0
         return float(found.growth_rate[0])
 
-    # near the threshold the rate is the root of a small difference and doubles its error: 1e-3
-    # is reached at 116 elements, not at 96
-    check_order(value, NECKED_GROWTH[moment], 1.5e-3)
+    # near the threshold sigma^2 is a small difference, so the rate's error is large: 1e-3 needs
+    # 116 elements at M = 8, and 106 at M = 10
+    check_order(value, NECKED_GROWTH[moment], 4e-3)
     assert abs(value(FINE) / NECKED_GROWTH[moment] - 1) < 1e-3
 
 
@@ -111,7 +111,7 @@ def column(n, thrust=0.0, compliance=None):
 
 def test_eigenvalue_is_the_thrust_left_until_buckling():
     for thrust in (0.0, 1.5, 3.0):
-        found = stability(*column(96, thrust), 2)
+        found = stability(*column(64, thrust), 2)
         # bending about a_1 (twice as stiff about a_2), then torsion for a small thrust
         expected = sorted([np.pi**2 / 4 - thrust, np.pi**2 / 2 - thrust, 0.8 * np.pi**2 / 4])[:2]
         np.testing.assert_allclose(found.eigenvalues, expected, rtol=1e-3, atol=1e-4)
@@ -120,7 +120,7 @@ def test_eigenvalue_is_the_thrust_left_until_buckling():
 
 def test_frequency_and_mode_of_a_cantilever():
     check_order(lambda n: float(vibration(*column(n)).frequency[0]), 3.51602, 1e-3)
-    scene, state = column(96)
+    scene, state = column(64)
     found = vibration(scene, state, 3)
     # bent about the softer axis a_1; clamped; of unit mass
     mode = np.asarray(found.modes[0])
@@ -144,7 +144,7 @@ def test_compliance_zero_is_the_rigid_limit():
 def test_shear_lowers_the_frequency_as_timoshenko_says():
     # a rod too short and stiff to bend: pure shear, omega = (pi/2) sqrt(GA/m)
     section = Section((1e4, 1e4, 1e4), mass=1.0, compliance=(1.0, 1.0, 0.0))
-    rod = straight_rod(1.0, 64, section)
+    rod = straight_rod(1.0, 24, section)
     scene = Scene(rod, Clamped(), Free())
     np.testing.assert_allclose(vibration(scene, placing(scene)).frequency[0], np.pi / 2, rtol=1e-3)
 

@@ -311,7 +311,7 @@ def test_run_stopped_anywhere_goes_on_bit_for_bit(example, tmp_path):
 
 def test_schedule_goes_on_where_it_stopped(example, tmp_path):
     scene, _ = example
-    schedule = jnp.linspace(0.0, 0.6, 13)[1:]
+    schedule = jnp.linspace(0.0, 0.3, 13)[1:]
     first = start(scene)
     halves = [simulate.rollout(scene, first, schedule[:6], METHOD)]
     path = tmp_path / "run.h5"
