@@ -1,0 +1,106 @@
+"""Differentiable dynamics of slender rods in self-contact.
+
+Data flows one way: a `Rod` with ends, loads and contact makes a `Scene`; `start` gives a consistent
+`State`; `step`, `rollout`, `adaptive_rollout` advance it and `equilibrium` rests it; the modules
+`energy`, `measures` and `topology` measure it, `storage` keeps it, `plot` shows it.
+
+Double precision is the caller's choice: `jax.config.update("jax_enable_x64", True)`.
+"""
+
+from rodjax.consistency import start as start
+from rodjax.contact import Contact as Contact
+from rodjax.contact_laws import AbstractLaw as AbstractLaw
+from rodjax.contact_laws import Barrier as Barrier
+from rodjax.contact_laws import DampedInversePower as DampedInversePower
+from rodjax.contact_laws import DebyeHueckel as DebyeHueckel
+from rodjax.contact_laws import InversePower as InversePower
+from rodjax.contact_laws import LennardJones as LennardJones
+from rodjax.contact_laws import Penalty as Penalty
+from rodjax.ends import AbstractEnd as AbstractEnd
+from rodjax.ends import Clamped as Clamped
+from rodjax.ends import Free as Free
+from rodjax.ends import Pinned as Pinned
+from rodjax.ends import Slider as Slider
+from rodjax.ends import Switched as Switched
+from rodjax.ends import Turn as Turn
+from rodjax.equilibrium import equilibrium as equilibrium
+from rodjax.generalized_alpha import GeneralizedAlpha as GeneralizedAlpha
+from rodjax.loads import AbstractLoad as AbstractLoad
+from rodjax.loads import DistributedLoad as DistributedLoad
+from rodjax.loads import Gravity as Gravity
+from rodjax.loads import LinearDrag as LinearDrag
+from rodjax.loads import MorisonDrag as MorisonDrag
+from rodjax.loads import PointLoad as PointLoad
+from rodjax.results import Result as Result
+from rodjax.results import SimulationError as SimulationError
+from rodjax.rod import Rod as Rod
+from rodjax.rod import Section as Section
+from rodjax.rod import circular_section as circular_section
+from rodjax.rod import curved_rod as curved_rod
+from rodjax.rod import straight_rod as straight_rod
+from rodjax.scene import Scene as Scene
+from rodjax.schedules import AbstractSchedule as AbstractSchedule
+from rodjax.schedules import Constant as Constant
+from rodjax.schedules import Function as Function
+from rodjax.schedules import PiecewiseLinear as PiecewiseLinear
+from rodjax.schedules import PiecewiseLinearRate as PiecewiseLinearRate
+from rodjax.schedules import Smooth as Smooth
+from rodjax.simulate import Run as Run
+from rodjax.simulate import StepControl as StepControl
+from rodjax.simulate import adaptive_rollout as adaptive_rollout
+from rodjax.simulate import rollout as rollout
+from rodjax.stability import stability as stability
+from rodjax.state import State as State
+from rodjax.step import step as step
+from rodjax.vibration import vibration as vibration
+
+__version__ = "0.1.0"
+
+__all__ = [
+    "AbstractEnd",
+    "AbstractLaw",
+    "AbstractLoad",
+    "AbstractSchedule",
+    "Barrier",
+    "Clamped",
+    "Constant",
+    "Contact",
+    "DampedInversePower",
+    "DebyeHueckel",
+    "DistributedLoad",
+    "Free",
+    "Function",
+    "GeneralizedAlpha",
+    "Gravity",
+    "InversePower",
+    "LennardJones",
+    "LinearDrag",
+    "MorisonDrag",
+    "Penalty",
+    "PiecewiseLinear",
+    "PiecewiseLinearRate",
+    "Pinned",
+    "PointLoad",
+    "Result",
+    "Rod",
+    "Run",
+    "Scene",
+    "Section",
+    "SimulationError",
+    "Slider",
+    "Smooth",
+    "State",
+    "StepControl",
+    "Switched",
+    "Turn",
+    "adaptive_rollout",
+    "circular_section",
+    "curved_rod",
+    "equilibrium",
+    "rollout",
+    "stability",
+    "start",
+    "step",
+    "straight_rod",
+    "vibration",
+]

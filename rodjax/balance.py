@@ -102,9 +102,9 @@ def _kinematic_maps(kinematics: Strains):
 
 def stretch_rate(
     rod: Rod,
-    position: Float[Array, "n+1 3"],
-    quaternion: Float[Array, "n+1 4"],
-    rate: Float[Array, "n+1 6"],
+    position: Float[Array, "nodes 3"],
+    quaternion: Float[Array, "nodes 4"],
+    rate: Float[Array, "nodes 6"],
 ) -> Float[Array, "n 3"]:
     """d gamma / dt for velocities (inertial) and angular velocities (body) of the nodes.
 

@@ -32,7 +32,8 @@ class Contact(eqx.Module):
     Args:
         law: the pair interaction.
         points: number of contact points; their spacing h = L/points must resolve the law (for a
-            force ripple under 2 %: h <= sqrt(2 d w)/2, d the settled distance, w = |psi/psi'|).
+            force ripple under 2 %: h <= sqrt(2 d w)/2, d the settled distance, w = |psi/psi'|, and
+            h <= d/8, which resolves the edge of the aperture).
         cutoff: no force beyond this distance of the centrelines [m].
         aperture: screening aperture theta [rad] (Fig. 4): a pair acts if the line between the
             points lies within theta/2 of either cross-section plane. 0 is the plane, pi all
@@ -42,8 +43,8 @@ class Contact(eqx.Module):
             Must not be less than the cut-off, or a straight rod would repel itself.
         capacities: sizes of the active set that are compiled, increasing; the smallest that
             fits is used at each step, and a run that outgrows the largest says so. Default:
-            from 64 in steps of 2.5 up to all points, which cannot overflow. Under `vmap` give a
-            single one.
+            32, 80, 160 and on by doubling up to all points, which cannot overflow. Under `vmap`
+            give a single one.
     """
 
     law: AbstractLaw
@@ -102,10 +103,11 @@ class Contact(eqx.Module):
         """Sizes of the active set that are compiled."""
         if self.capacities is not None:
             return tuple(min(size, self.points) for size in self.capacities)
-        sizes = [64]
+        sizes = [32, 80, 160]
         while sizes[-1] < self.points:
-            sizes.append(5 * sizes[-1] // 2)
-        return (*sizes[:-1], self.points)
+            sizes.append(2 * sizes[-1])
+        # each size costs compile time: none that nearly is all points
+        return (*[size for size in sizes if size < 0.6 * self.points], self.points)
 
 
 class Sites(NamedTuple):
@@ -142,13 +144,13 @@ def sites(contact: Contact, rod: Rod) -> Sites:
     return Sites(s, element, weight, spacing, rod.diameter[element], mass)
 
 
-def interpolate(where: Sites, nodal: Float[Array, "n+1 k"]) -> Float[Array, "p k"]:
+def interpolate(where: Sites, nodal: Float[Array, "nodes k"]) -> Float[Array, "p k"]:
     """Values at the contact points."""
     weight = where.weight[:, None]
     return (1 - weight) * nodal[where.element] + weight * nodal[where.element + 1]
 
 
-def spread(where: Sites, values: Float[Array, "p k"], nodes: int) -> Float[Array, "n+1 k"]:
+def spread(where: Sites, values: Float[Array, "p k"], nodes: int) -> Float[Array, "nodes k"]:
     """The transpose of `interpolate`: forces on points to forces on nodes."""
     weight = where.weight[:, None]
     out = jnp.zeros((nodes, values.shape[1]), values.dtype)
@@ -180,9 +182,9 @@ def search(
     contact: Contact,
     rod: Rod,
     where: Sites,
-    position: Float[Array, "n+1 3"],
-    quaternion: Float[Array, "n+1 4"],
-    displacement: Float[Array, "n+1 3"] | None = None,
+    position: Float[Array, "nodes 3"],
+    quaternion: Float[Array, "nodes 4"],
+    displacement: Float[Array, "nodes 3"] | None = None,
 ) -> ActiveSet:
     """Points that have a partner within reach and inside the apertures.
 
@@ -333,9 +335,9 @@ def forces(
     rod: Rod,
     where: Sites,
     active: ActiveSet,
-    position: Float[Array, "n+1 3"],
-    velocity: Float[Array, "n+1 3"],
-) -> Float[Array, "n+1 3"]:
+    position: Float[Array, "nodes 3"],
+    velocity: Float[Array, "nodes 3"],
+) -> Float[Array, "nodes 3"]:
     """Contact forces on the nodes [N], for an active set found before."""
     points, velocities = interpolate(where, position), interpolate(where, velocity)
 
@@ -386,8 +388,8 @@ def approach_limit(
     contact: Contact,
     where: Sites,
     active: ActiveSet,
-    position: Float[Array, "n+1 3"],
-    change: Float[Array, "n+1 3"],
+    position: Float[Array, "nodes 3"],
+    change: Float[Array, "nodes 3"],
 ) -> Float[Array, ""]:
     """Largest fraction of a change of position that closes no gap by more than 70 %.
 
@@ -418,8 +420,8 @@ def passage_suspected(
     contact: Contact,
     where: Sites,
     active: ActiveSet,
-    before: Float[Array, "n+1 3"],
-    after: Float[Array, "n+1 3"],
+    before: Float[Array, "nodes 3"],
+    after: Float[Array, "nodes 3"],
 ):
     """Whether the line between two active points turned by more than a right angle in a step."""
     old = lax.stop_gradient(interpolate(where, before))
@@ -438,7 +440,7 @@ def passage_suspected(
 class ContactReport(NamedTuple):
     """Contact of one configuration."""
 
-    force: Float[Array, "n+1 3"]  # on the nodes [N]
+    force: Float[Array, "nodes 3"]  # on the nodes [N]
     total: Float[Array, ""]  # sum of the magnitudes of all pair forces [N]
     smallest: Float[Array, ""]  # least d/D of the pairs that act; infinite without one
     count: Int[Array, ""]  # active points
@@ -447,9 +449,9 @@ class ContactReport(NamedTuple):
 def report(
     contact: Contact,
     rod: Rod,
-    position: Float[Array, "n+1 3"],
-    quaternion: Float[Array, "n+1 4"],
-    velocity: Float[Array, "n+1 3"],
+    position: Float[Array, "nodes 3"],
+    quaternion: Float[Array, "nodes 4"],
+    velocity: Float[Array, "nodes 3"],
 ) -> ContactReport:
     """Contact forces and the smallest gap of a configuration, by a search of its own."""
     where = sites(contact, rod)

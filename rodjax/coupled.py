@@ -48,7 +48,7 @@ class Coupling(eqx.Module):
         """Scaled derivative of minus the point forces by the points' positions."""
         return self.evaluate(size)[1]
 
-    def evaluate(self, size: int) -> tuple[Float[Array, "m 3"], Float[Array, "3m 3m"]]:
+    def evaluate(self, size: int) -> tuple[Float[Array, "m 3"], Float[Array, "k k"]]:
         """Forces on the active points [N], and `derivative`."""
         found = pairs(
             self.contact,
@@ -63,7 +63,7 @@ class Coupling(eqx.Module):
         matrix = self.scale * found.derivative.reshape(3 * size, 3 * size)
         return found.force, matrix.T if self.transposed else matrix
 
-    def enter(self, size: int, force: Float[Array, "m 3"]) -> Float[Array, "n+1 9"]:
+    def enter(self, size: int, force: Float[Array, "m 3"]) -> Float[Array, "nodes 9"]:
         """Forces on the active points as they enter the block rows."""
         return jnp.einsum("jrk,jp,pk->jr", self.left, self.weights(size), force)
 

@@ -30,6 +30,7 @@ from rodjax.rod import Number
 from rodjax.scene import Scene, projectors
 from rodjax.state import State
 
+Factor = Number | Float[Array, ""]
 # How often the path's step may be halved before the path is given up.
 _HALVINGS = 12
 
@@ -163,7 +164,9 @@ def at_rest(time, position, quaternion) -> NodeMotion:
     return NodeMotion(time, position, quaternion, zero, zero)
 
 
-def static_balance(scene: Scene, motion: NodeMotion, force: Float[Array, "n 3"], factor=1.0):
+def static_balance(
+    scene: Scene, motion: NodeMotion, force: Float[Array, "n 3"], factor: Factor = 1.0
+):
     """Internal - factor external wrench of every node (n+1, 6), and the constraint (n, 3)."""
     inner = balance.internal(scene.rod, motion.position, motion.quaternion, force)
     wrench = jnp.concatenate([inner.force, inner.moment], 1)
@@ -172,7 +175,9 @@ def static_balance(scene: Scene, motion: NodeMotion, force: Float[Array, "n 3"],
     return wrench, inner.constraint
 
 
-def load_tangent(scene: Scene, motion: NodeMotion, factor=1.0) -> Float[Array, "nodes 6 6"]:
+def load_tangent(
+    scene: Scene, motion: NodeMotion, factor: Factor = 1.0
+) -> Float[Array, "nodes 6 6"]:
     """Derivative of minus the loads on each node by its displacement and body spin."""
     zero = jnp.zeros((scene.rod.elements + 1, 6), motion.position.dtype)
     if not scene.loads:
@@ -298,11 +303,12 @@ def equilibrium(
 
 @eqx.filter_jit
 def _equilibrium(scene, state, stop, load_steps, tolerance, max_iterations, max_rotation):
-    settings = load_steps, tolerance, max_iterations, max_rotation
-    path = _follow(*_constant((scene, state, stop)), *settings)
+    fixed, start, end = _constant((scene, state, stop))
+    path = _follow(fixed, start, end, load_steps, tolerance, max_iterations, max_rotation)
     time = state.time + path.reached * (stop - state.time)
     ramp = Ramp(path.reached, _imbalance(scene, state))
-    equations = StaticEquations(scene, state, *path.reference, time, max_rotation, ramp)
+    position, quaternion = path.reference
+    equations = StaticEquations(scene, state, position, quaternion, time, max_rotation, ramp)
     x = _root(equations, path.x)
     motion = equations.motion(x)
     zero = jnp.zeros_like(state.rate)
@@ -353,7 +359,8 @@ def _follow(scene, state, stop, load_steps, tolerance, max_iterations, max_rotat
     def equations(target, reference):
         time = state.time + target * (stop - state.time)
         ramp = Ramp(target, imbalance)
-        return StaticEquations(scene, state, *reference, time, max_rotation, ramp)
+        position, quaternion = reference
+        return StaticEquations(scene, state, position, quaternion, time, max_rotation, ramp)
 
     def attempt(path: _Path) -> _Path:
         # no sliver of a step at the end

@@ -1,5 +1,6 @@
 """Rollouts: over given times by `lax.scan`, or with the step chosen by the local error."""
 
+import dataclasses
 from collections.abc import Callable
 from typing import NamedTuple
 
@@ -14,9 +15,11 @@ from jaxtyping import Array, Bool, Float, Int
 from rodjax import results
 from rodjax.generalized_alpha import GeneralizedAlpha
 from rodjax.results import Result
+from rodjax.rotations import logarithm
 from rodjax.scene import Scene
 from rodjax.state import State
 from rodjax.step import StepInfo, prepare, step
+from rodjax.strains import relative_rotation
 
 
 class Run(eqx.Module):
@@ -62,7 +65,7 @@ def rollout(
     scene: Scene,
     state: State,
     times: Float[Array, " k"],
-    method: GeneralizedAlpha = GeneralizedAlpha(),  # noqa: B008 (immutable)
+    method: GeneralizedAlpha | None = None,
     *,
     save_every: int = 1,
     throw: bool = True,
@@ -86,6 +89,7 @@ def rollout(
         SimulationError: a step failed.
     """
     state = prepare(scene, state)
+    method = GeneralizedAlpha() if method is None else method
     times = jnp.asarray(times, state.position.dtype)
     if times.ndim != 1 or times.shape[0] < 1 or times.shape[0] % save_every:
         raise ValueError(
@@ -150,10 +154,12 @@ class StepControl(eqx.Module):
     """How the adaptive rollout chooses its steps.
 
     A step is accepted if its local error is at most `relative` times the step's own increment
-    plus a floor: for the displacement (floor `absolute` times the rod's length), for the bending
-    rotations and for the rotation about the tangent (floor `absolute` rad). Measuring against
-    the increment follows a growing mode from its imperfection on; measuring rotations sees a
-    straight rod about to buckle, whose ends move only in second order.
+    plus `absolute` times the size of the deformation, both for displacements (in tenths of the
+    rod's length) and for rotations of the tangent [rad]. The size is the rod's total bending
+    angle, at most 1 rad: so a growing mode is followed from its imperfection on, while vibrations
+    that are small beside a developed shape are not resolved. Rotations are watched because a
+    straight rod about to buckle moves its ends in second order only; twist, whose waves are fast
+    and harmless, has the wide absolute tolerance of 0.05 rad.
 
     Args:
         relative, absolute: tolerances.
@@ -162,7 +168,7 @@ class StepControl(eqx.Module):
     """
 
     relative: Float[Array, ""] = eqx.field(converter=lambda x: jnp.asarray(x, float), default=0.02)
-    absolute: Float[Array, ""] = eqx.field(converter=lambda x: jnp.asarray(x, float), default=1e-5)
+    absolute: Float[Array, ""] = eqx.field(converter=lambda x: jnp.asarray(x, float), default=5e-3)
     max_step: float | Array | None = None
     first_step: float | Array | None = None
     min_step: float | Array | None = None
@@ -203,8 +209,8 @@ def adaptive_rollout(
     scene: Scene,
     state: State,
     end_time: float,
-    method: GeneralizedAlpha = GeneralizedAlpha(),  # noqa: B008 (immutable)
-    control: StepControl = StepControl(),  # noqa: B008 (immutable)
+    method: GeneralizedAlpha | None = None,
+    control: StepControl | None = None,
     *,
     resume: Control | None = None,
     max_steps: int = 100_000,
@@ -231,6 +237,8 @@ def adaptive_rollout(
         raise ValueError(f"end_time: must lie after the state's time {float(state.time):g}")
     scene.check_until(float(end_time))
     state = prepare(scene, state)
+    method = GeneralizedAlpha() if method is None else method
+    control = StepControl() if control is None else control
     dtype = state.position.dtype
     method.check_precision(dtype)
     tolerances = _tolerances(control, dtype)
@@ -265,6 +273,8 @@ def adaptive_rollout(
 def join_runs(start: State, parts: list[Run]) -> Run:
     """The run from `start` through the parts given to `on_chunk`, up to the last of them."""
     last = parts[-1]
+    if start.settling is None and last.states.settling is not None:  # as the rollout did
+        start = dataclasses.replace(start, settling=jnp.asarray(0, jnp.int32))
     join = lambda *leaves: jnp.asarray(np.concatenate(leaves))
     states, infos = jax.tree.map(join, *[(part.states, part.infos) for part in parts])
     states = jax.tree.map(lambda a, b: jnp.concatenate([a[None], b]), start, states)
@@ -274,13 +284,14 @@ def join_runs(start: State, parts: list[Run]) -> Run:
 def compile_adaptive_rollout(
     scene: Scene,
     state: State,
-    method: GeneralizedAlpha = GeneralizedAlpha(),  # noqa: B008 (immutable)
+    method: GeneralizedAlpha | None = None,
     *,
     chunk: int = 50,
 ) -> None:
     """Compile the loop of `adaptive_rollout` for this scene and chunk without taking a step."""
     control, dtype = StepControl(), state.position.dtype
     state = prepare(scene, state)
+    method = GeneralizedAlpha() if method is None else method
     memory, tolerances = _memory(control, 1.0, dtype), _tolerances(control, dtype)
     out = _adaptive_chunk(scene, state, memory, state.time, method, tolerances, chunk)
     jax.block_until_ready(out.accepted)
@@ -311,6 +322,7 @@ def _adaptive_chunk(scene, state, control, end_time, method, tolerances, size):
     marks = jnp.stack([*scene.switch_times, end_time]).astype(end_time.dtype)
     length = jnp.sum(scene.rod.length)
     relative, absolute = tolerances
+    tiny = jnp.finfo(state.position.dtype).tiny
 
     def attempt(loop: _Chunk) -> _Chunk:
         now, dt = loop.state.time, loop.control.dt
@@ -321,11 +333,13 @@ def _adaptive_chunk(scene, state, control, end_time, method, tolerances, size):
         stop = jnp.where(left <= 1.0001 * dt, mark, now + dt)
         new, info = step(scene, loop.state, stop, method)
         failed = info.result != Result.SUCCESS
-        allowed = lambda growth, floor: relative * growth + absolute * floor
+        phi = logarithm(relative_rotation(loop.state.quaternion))[:, :2]
+        bent = jnp.clip(jnp.sum(jnp.sqrt(jnp.sum(phi**2, 1) + tiny)), 1e-6, 1.0)
+        allowed = lambda growth, unit: relative * growth + absolute * unit
         error = jnp.maximum(
-            info.error_position / allowed(info.growth_position, length),
+            info.error_position / allowed(info.growth_position, 0.1 * bent * length),
             jnp.maximum(
-                info.error_bending / allowed(info.growth_bending, 1.0),
+                info.error_bending / allowed(info.growth_bending, bent),
                 info.error_twisting / allowed(info.growth_twisting, 0.05 / absolute),
             ),
         )

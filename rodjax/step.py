@@ -326,7 +326,7 @@ def step(
     scene: Scene,
     state: State,
     stop: Float[Array, ""],
-    method: GeneralizedAlpha = GeneralizedAlpha(),  # noqa: B008 (immutable)
+    method: GeneralizedAlpha | None = None,
 ) -> tuple[State, StepInfo]:
     """Advance the motion from `state.time` to `stop`.
 
@@ -334,6 +334,7 @@ def step(
     projected onto it and accelerations and forces made consistent. A failed step is reported in
     `StepInfo.result`, never raised.
     """
+    method = GeneralizedAlpha() if method is None else method
     loss = jnp.zeros((), state.position.dtype)
     radius, settling = method.spectral_radius, None
     if scene.switch_times:

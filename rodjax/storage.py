@@ -91,8 +91,8 @@ def save(
     scene: Scene,
     run: Run,
     *,
-    method: GeneralizedAlpha = GeneralizedAlpha(),  # noqa: B008 (immutable)
-    control: StepControl = StepControl(),  # noqa: B008 (immutable)
+    method: GeneralizedAlpha | None = None,
+    control: StepControl | None = None,
     measures: Mapping[str, Any] | None = None,
     measure_units: Mapping[str, str] | None = None,
     schedule: Float[Array, " k"] | None = None,

@@ -13,7 +13,7 @@ from rodjax.loads import DistributedLoad, Gravity, LinearDrag, MorisonDrag, Poin
 from rodjax.scene import Scene
 from rodjax.schedules import Constant, Function, Smooth
 from rodjax.state import State
-from rodjax.step import step
+from rodjax.step import StepInfo, prepare, step
 
 ELEMENTS = 8
 AXIS = jnp.array([0.0, 0.0, 1.0])
@@ -188,24 +188,31 @@ def test_weight_of_a_hanging_rod():
     np.testing.assert_array_equal(found.force[1], 0)
 
 
+def run_of(states, infos=None):
+    """A stored run; without `infos` one whose steps projected nothing."""
+    stack = lambda items: jax.tree.map(lambda *leaves: jnp.asarray(np.stack(leaves)), *items)
+    if infos is None:
+        infos = [StepInfo(*[jnp.zeros(())] * len(StepInfo._fields))] * (len(states) - 1)
+    zero = jnp.asarray(0, jnp.int32)
+    return simulate.Run(stack(states), stack(infos), zero, zero, zero)
+
+
 def run_over(scene, state, end_time, steps, longest=None, every=1):
     """A run of equal steps, saved every so many.
 
     It is filled up to the `longest` of a series by states that rest at its end and add nothing,
     so that all of the series share what is compiled.
     """
-    states, losses = [state], []
+    state = prepare(scene, state)
+    states, infos = [state], []
     for k in range(steps):
         state, info = one_step(scene, state, jnp.asarray((k + 1) * end_time / steps))
         assert info.result == 0
         states.append(state)
-        losses.append(info)
+        infos.append(info)
     fill = 0 if longest is None else longest - steps
-    still = eqx.tree_at(lambda i: i.projection_loss, losses[-1], jnp.zeros(()))
-    stack = lambda items: jax.tree.map(lambda *leaves: jnp.asarray(np.stack(leaves)), *items)
-    zero = jnp.asarray(0, jnp.int32)
-    states = states[::every] + fill * [state]
-    return simulate.Run(stack(states), stack(losses + fill * [still]), zero, zero, zero)
+    still = eqx.tree_at(lambda i: i.projection_loss, infos[-1], jnp.zeros(()))
+    return run_of(states[::every] + fill * [state], infos + fill * [still])
 
 
 def smooth_twist(turns, until=1.0):
@@ -339,43 +346,75 @@ def test_projection_loss_is_booked_once():
     assert np.max(np.abs(books[0].residual)) < 0.1 * loss[-1]
 
 
-def test_contact_forces_and_work_enter_reactions_and_ledger():
-    """Two strands of a hairpin repel each other: equal and opposite, carried by the clamps."""
+@pytest.fixture(scope="module")
+def hairpin():
+    """A rod at rest in the shape of a hairpin, whose strands repel each other."""
     radius, length = 0.05, 1.0
     straight = (length - np.pi * radius) / 2
 
-    def hairpin(s):
-        if s < straight:
-            return np.array([0.0, s, 0.0])
+    def curve(s):
         angle = (s - straight) / radius
+        if angle < 0:
+            return np.array([0.0, s, 0.0])
         if angle < np.pi:
             return np.array([radius * (1 - np.cos(angle)), straight + radius * np.sin(angle), 0.0])
-        return np.array([2 * radius, straight - (s - straight - np.pi * radius), 0.0])
+        return np.array([2 * radius, straight - radius * (angle - np.pi), 0.0])
 
     section = eqx.tree_at(
         lambda s: (s.diameter, s.rotary_inertia), UNIT_SECTION, (0.02, (0.02, 0.02, 0.02))
     )
-    a_rod = rod.curved_rod(hairpin, length, 24, section)
     law = contact_laws.InversePower(1e-2, 2.0)
     touching = contact.Contact(law, 24, 0.15, exclusion=0.3, capacities=(24,))
-    scene = Scene(a_rod, Clamped(), Clamped(), (LinearDrag(20.0, 20.0, 0.1),), touching)
-    state = start(scene)
-    wrench = energy.contact_wrench(scene, state)
+    a_rod = rod.curved_rod(curve, length, 24, section)
+    return Scene(a_rod, Clamped(), Clamped(), (LinearDrag(20.0, 20.0, 0.1),), touching)
+
+
+contact_wrench = eqx.filter_jit(energy.contact_wrench)
+
+
+def test_contact_enters_the_reactions(hairpin):
+    """Equal and opposite forces push the strands apart; the clamps take what acts on their nodes.
+
+    The rod is at rest and unstressed, so the clamps have nothing else to carry.
+    """
+    state = state_of(hairpin.rod)
+    wrench = contact_wrench(hairpin, state)
     force = np.asarray(wrench[:, :3])
     np.testing.assert_array_equal(wrench[:, 3:], 0)
     np.testing.assert_allclose(force.sum(0), 0, atol=1e-14)
+    np.testing.assert_allclose(np.cross(hairpin.rod.position, force).sum(0), 0, atol=1e-14)
     assert force[3, 0] < -1e-4 and force[-4, 0] > 1e-4
-    np.testing.assert_allclose(
-        np.cross(a_rod.position, force).sum(0), 0, atol=1e-12 * np.abs(force).max()
-    )
-    apart = Scene(a_rod, Clamped(), Clamped(), scene.loads)
+    found = reactions(hairpin, state)
+    np.testing.assert_allclose(found.force, -force[jnp.array([0, -1])], atol=1e-12)
+    assert np.all(np.abs(found.force[:, 0]) > 1e-5)
+    apart = eqx.tree_at(lambda s: s.contact, hairpin, None)
     np.testing.assert_array_equal(energy.contact_wrench(apart, state), 0)
-    pushed, free = reactions(scene, state), reactions(apart, state)
-    np.testing.assert_allclose((pushed.force - free.force), -force[jnp.array([0, -1])], atol=1e-12)
+
+
+def test_work_done_on_contact(hairpin):
+    """Strands pressed together along a given path: the sum of force times way over the path."""
+
+    def pressed(part):
+        closer = hairpin.rod.position.at[:, 0].multiply(1 - 0.4 * part)
+        return state_of(hairpin.rod, position=closer)
+
+    path = [pressed(part) for part in np.linspace(0, 1, 9)]
+    forces = np.stack([contact_wrench(hairpin, state)[:, :3] for state in path])
+    places = np.stack([state.position for state in path])
+    work = -0.5 * np.sum((forces[1:] + forces[:-1]) * np.diff(places, axis=0), (1, 2))
+    book = energy.ledger(hairpin, run_of(path))
+    assert np.all(work > 0)
+    np.testing.assert_allclose(np.diff(book.contact_work), work, rtol=1e-10)
+
+
+@pytest.mark.slow
+def test_ledger_balances_while_strands_push_each_other_apart(hairpin):
+    """Contact is where the motion's energy comes from."""
+    state = start(hairpin)
     errors = []
     for steps in (50, 100):
-        book = energy.ledger(scene, run_over(scene, state, 0.5, steps, 100))
-        assert book.contact_work[-1] < 0  # the strands are pushed apart
+        book = energy.ledger(hairpin, run_over(hairpin, state, 0.5, steps, 100))
+        assert book.contact_work[-1] < 0
         errors.append(float(jnp.max(jnp.abs(book.residual))) / -float(book.contact_work[-1]))
     assert errors[1] < 1e-3
     assert errors[1] < errors[0] / 2.8

@@ -162,7 +162,7 @@ def test_datasets_have_clear_names_and_units(example, tmp_path):
             "acceleration": "nm/us^2 and rad/us^2",
             "auxiliary": "nm/us^2 and rad/us^2",
         }
-        assert {name: states[name].attrs["units"] for name in states} == expected
+        assert {name: states[name].attrs["units"] for name in expected} == expected
         angle = file["scene/first_end/rotation/angle"]
         assert (angle["values"].attrs["units"], angle["times"].attrs["units"]) == ("rad", "us")
         assert file["scene/first_end/displacement/values"].attrs["units"] == "nm"

@@ -1,0 +1,259 @@
+"""Self-contact: laws, the search, pair forces, and the coupled Newton system."""
+
+import dataclasses
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from rodjax import contact as ct
+from rodjax import contact_laws as laws
+from rodjax.consistency import start
+from rodjax.contact import Contact
+from rodjax.contact_laws import PairProperties
+from rodjax.ends import Clamped
+from rodjax.loads import NodeMotion
+from rodjax.results import Result
+from rodjax.rod import circular_section, curved_rod, straight_rod
+from rodjax.scene import Scene
+from rodjax.step import StepEquations, find_nearby, step
+
+DIAMETER = 0.02
+LAWS = {
+    "damped": laws.DampedInversePower(k1=1e-4, k3=1e-1),
+    "inverse_power": laws.InversePower(strength=1e-2, exponent=3.0),
+    "lennard_jones": laws.LennardJones(energy=1.0, range=0.03),
+    "debye_hueckel": laws.DebyeHueckel(strength=0.1, screening=0.02),
+    "barrier": laws.Barrier(stiffness=1e6),
+    "penalty": laws.Penalty(stiffness=1e6),
+}
+
+
+def hairpin(elements=24, half_gap=0.04, tilt=0.003):
+    """A rod bent into two parallel strands 2 * half_gap apart."""
+    leg = (1 - np.pi * half_gap) / 2
+
+    def curve(s):
+        s = np.asarray(s)
+        if s < leg:
+            return np.array([0.0, s, 0.0])
+        angle = (s - leg) / half_gap
+        if angle < np.pi:
+            bend = np.array([1 - np.cos(angle), np.sin(angle), 0.0])
+            return half_gap * bend + np.array([0.0, leg, 0.0])
+        return np.array([2 * half_gap, leg - (s - leg - np.pi * half_gap), tilt])
+
+    section = circular_section(DIAMETER, 1e6, 5e5, 1500.0)
+    return curved_rod(curve, 1.0, elements, section)
+
+
+@pytest.fixture(scope="module")
+def bent():
+    """Hairpin scene, a moving state of it, and the points near each other."""
+    contact = Contact(LAWS["damped"], points=40, cutoff=0.1)
+    scene = Scene(hairpin(), Clamped(), Clamped(), (), contact)
+    state = start(scene)
+    velocity = 0.1 * np.random.default_rng(0).normal(size=state.position.shape)
+    state = dataclasses.replace(state, rate=state.rate.at[:, :3].set(velocity))
+    motion = NodeMotion(
+        state.time, state.position, state.quaternion, state.velocity, state.angular_velocity
+    )
+    return scene, state, find_nearby(scene, motion, 1e-3 * state.velocity)
+
+
+PAIR = PairProperties(jnp.asarray(DIAMETER), jnp.asarray(0.5))
+
+
+@pytest.mark.parametrize("name", LAWS)
+def test_law_is_c1_and_repels_when_close(name):
+    law = LAWS[name]
+    distance = jnp.linspace(0.3 * DIAMETER, 3 * DIAMETER, 20001)
+    value = jax.vmap(lambda d: laws.continued(law, d, jnp.asarray(0.0), PAIR))(distance)
+    slope = jax.vmap(jax.grad(lambda d: laws.continued(law, d, jnp.asarray(0.0), PAIR)))(distance)
+    assert np.all(np.isfinite(value)) and np.all(np.isfinite(slope))
+    assert value[0] > 0
+    # the primitive of the slope is the value: no jump, and the slope is the derivative
+    area = np.cumsum(0.5 * (slope[1:] + slope[:-1]) * np.diff(distance))
+    scale = np.max(np.abs(value))
+    np.testing.assert_allclose(value[1:] - value[0], area, atol=2e-3 * scale)
+
+
+def test_damped_law_is_equation_13():
+    law = laws.DampedInversePower()
+    d, c = 0.013, 0.2
+    expected = 0.5 * (1e-7 / (d - 0.5 * DIAMETER) ** 3 + 1e-6 / d * c * abs(c)) / 1e-3
+    got = laws.continued(law, jnp.asarray(d), jnp.asarray(c), PAIR)
+    np.testing.assert_allclose(got, expected, rtol=1e-12)
+
+
+def test_barrier_acts_from_touching_on_and_lennard_jones_rests_at_its_minimum():
+    barrier = lambda d: laws.continued(LAWS["barrier"], jnp.asarray(d), jnp.asarray(0.0), PAIR)
+    assert barrier(1.2 * DIAMETER) == 0 and barrier(1.5 * DIAMETER) == 0
+    assert barrier(1.05 * DIAMETER) > 0
+    rest = 2 ** (1 / 6) * 0.03
+    lj = lambda d: laws.continued(LAWS["lennard_jones"], jnp.asarray(d), jnp.asarray(0.0), PAIR)
+    assert abs(lj(rest)) < 1e-10 * lj(0.9 * rest)
+    assert lj(1.1 * rest) < 0
+
+
+def test_points_find_their_partners(bent):
+    scene, _, near = bent
+    where, active = near
+    assert scene.contact is not None
+    assert 20 < int(active.count) < scene.contact.points
+    # the two legs face each other, the far side of the bend has no partner inside its aperture
+    chosen = np.asarray(active.order[: int(active.count)])
+    assert np.any(np.asarray(where.arc_length)[chosen] < 0.3)
+    assert np.any(np.asarray(where.arc_length)[chosen] > 0.7)
+    assert int(active.overflow) == 0
+
+
+def test_straight_rod_has_no_contact_and_its_step_is_that_without():
+    section = circular_section(DIAMETER, 1e6, 5e5, 1500.0)
+    rod = straight_rod(1.0, 10, section, natural_curvature=(0.3, 0.0, 0.0))
+    contact = Contact(LAWS["damped"], points=40, cutoff=0.1)
+    runs = [
+        step(scene, start(scene), jnp.asarray(1e-2))[0]
+        for scene in (Scene(rod, Clamped()), Scene(rod, Clamped(), contact=contact))
+    ]
+    for plain, touching in zip(*(jax.tree.leaves(run) for run in runs), strict=True):
+        np.testing.assert_allclose(touching, plain, rtol=1e-9, atol=1e-12)
+
+
+def test_forces_are_equal_and_opposite(bent):
+    scene, state, near = bent
+    force = ct.forces(scene.contact, scene.rod, *near, state.position, state.velocity)
+    scale = float(jnp.max(jnp.abs(force)))
+    assert scale > 0
+    np.testing.assert_allclose(jnp.sum(force, 0), 0.0, atol=1e-12 * scale)
+
+
+def test_central_forces_make_no_torque():
+    scene = Scene(
+        hairpin(), Clamped(), Clamped(), contact=Contact(LAWS["damped"], points=40, cutoff=0.1)
+    )
+    state = start(scene)
+    push = ct.report(
+        scene.contact, scene.rod, state.position, state.quaternion, state.velocity
+    ).force
+    torque = jnp.sum(jnp.cross(state.position, push), 0)
+    np.testing.assert_allclose(torque, 0.0, atol=1e-12 * float(jnp.max(jnp.abs(push))))
+
+
+def test_newton_system_is_the_exact_derivative(bent):
+    scene, state, near = bent
+    equations = StepEquations(scene, state, jnp.asarray(1e-3), jnp.asarray(0.8), near)
+    x = equations.guess()
+    system = equations.linearize(x)
+    matrix = jax.jacfwd(equations.residual)(x).reshape(x.size, x.size)
+    b = jnp.asarray(np.random.default_rng(1).normal(size=x.shape))
+    dx = system.solve(b)
+    np.testing.assert_allclose(
+        matrix @ equations.lift(x, dx).reshape(-1), b.reshape(-1), atol=1e-11
+    )
+    np.testing.assert_allclose(system.multiply(dx), b, atol=1e-11)
+    y = system.solve_transpose(b)
+    np.testing.assert_allclose(jnp.vdot(y, system.multiply(b)), jnp.vdot(b, b), rtol=1e-11)
+    np.testing.assert_allclose(
+        equations.newton_increment(x), system.solve(-equations.residual(x)), atol=1e-13
+    )
+
+
+@pytest.mark.parametrize("name", ["damped", "debye_hueckel", "lennard_jones"])
+def test_ripple_of_the_force_is_under_two_percent(name):
+    """Sliding one strand along the other by one spacing barely changes the force.
+
+    Two parallel strands at a distance d feel sum_j psi(d_j) window n_j per point; its ripple with
+    the phase between the points is that of the documented spacing h = min(sqrt(2 d w)/2, d/8).
+    """
+    law = LAWS[name]
+    d = {"damped": 0.58 * DIAMETER, "debye_hueckel": DIAMETER, "lennard_jones": 0.026}[name]
+    psi = lambda r: laws.continued(law, r, jnp.asarray(0.0), PAIR)
+    width = float(psi(jnp.asarray(d)) / abs(jax.grad(psi)(jnp.asarray(d))))
+    spacing = min(0.5 * np.sqrt(2 * d * width), d / 8)
+    contact = Contact(law, points=2, cutoff=6 * DIAMETER)
+    phase = spacing * np.linspace(0, 1, 17)[:, None] + spacing * np.arange(-40, 41)
+    r = jnp.asarray(np.sqrt(d**2 + phase**2))
+    cosine = jnp.asarray(phase) / r
+    density = jax.vmap(jax.vmap(psi))(r) * ct.window(contact, r, cosine, cosine)
+    force = np.sum(density * d / r, 1) * spacing
+    assert np.ptp(force) < 0.02 * np.mean(force)
+
+
+def test_force_does_not_depend_on_the_spacing_of_grid_or_points():
+    totals = []
+    for elements, points in ((96, 160), (48, 160), (96, 320)):
+        scene = Scene(hairpin(elements), contact=Contact(LAWS["damped"], points=points, cutoff=0.1))
+        state = start(scene)
+        found = ct.report(
+            scene.contact, scene.rod, state.position, state.quaternion, state.velocity
+        )
+        totals.append(float(found.total))
+    np.testing.assert_allclose(totals, totals[0], rtol=0.03)
+
+
+def test_capacity_overflow_is_reported(bent):
+    scene, state, _ = bent
+    small = eqx.tree_at(
+        lambda s: s.contact, scene, Contact(LAWS["damped"], 40, 0.1, capacities=(4,))
+    )
+    _, info = step(small, state, jnp.asarray(1e-3))
+    assert int(info.result) == Result.CAPACITY_OVERFLOW
+
+
+def test_limit_keeps_strands_apart(bent):
+    scene, state, near = bent
+    # one leg moved right through the other
+    change = jnp.zeros_like(state.position).at[:10, 0].set(0.2)
+    limit = ct.approach_limit(scene.contact, *near, state.position, change)
+    assert 0 < limit < 0.5
+    assert ct.approach_limit(scene.contact, *near, state.position, -change) == 1
+    moved = state.position + change
+    assert ct.passage_suspected(scene.contact, *near, state.position, moved)
+    assert not ct.passage_suspected(scene.contact, *near, state.position, state.position)
+
+
+def test_gradient_through_a_step_in_contact(bent):
+    scene, state, _ = bent
+
+    def end(k1):
+        law = eqx.tree_at(lambda c: c.law.k1, scene.contact, k1)
+        touching = eqx.tree_at(lambda s: s.contact, scene, law)
+        return jnp.sum(step(touching, state, jnp.asarray(1e-3))[0].velocity[:8, 0])
+
+    k1 = jnp.asarray(1e-4)
+    reverse, forward = jax.grad(end)(k1), jax.jvp(end, (k1,), (jnp.ones(()),))[1]
+    h = 1e-6
+    difference = (end(k1 + h) - end(k1 - h)) / (2 * h)
+    assert abs(difference) > 0
+    np.testing.assert_allclose(reverse, forward, rtol=1e-9)
+    np.testing.assert_allclose(reverse, difference, rtol=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "name"),
+    [
+        ({"cutoff": -1.0}, "cutoff"),
+        ({"cutoff": 0.1, "aperture": 4.0}, "aperture"),
+        ({"cutoff": 0.1, "exclusion": 0.05}, "cutoff"),
+        ({"cutoff": 0.1, "points": 1}, "points"),
+        ({"cutoff": 0.1, "edge": 0.0}, "edge"),
+        ({"cutoff": 0.1, "capacities": (8, 4)}, "capacities"),
+    ],
+)
+def test_bad_input_names_the_argument(arguments, name):
+    with pytest.raises(ValueError, match=f"^{name}"):
+        Contact(LAWS["damped"], **({"points": 40} | arguments))
+
+
+def test_contact_needs_a_diameter_and_room():
+    rod = hairpin()
+    bare = dataclasses.replace(rod, diameter=None)
+    with pytest.raises(ValueError, match="^diameter"):
+        Scene(bare, contact=Contact(LAWS["damped"], points=40, cutoff=0.1))
+    with pytest.raises(ValueError, match="^exclusion"):
+        Scene(rod, contact=Contact(LAWS["damped"], points=40, cutoff=0.9))
+    with pytest.raises(ValueError, match="^k1"):
+        laws.DampedInversePower(k1=-1.0)
