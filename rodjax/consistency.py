@@ -4,9 +4,9 @@ Both are one solve with the constrained mass matrix. A start out of equilibrium,
 that begins during a run, is first order or fails without them.
 """
 
-import equinox as eqx
 import dataclasses
 
+import equinox as eqx
 import jax
 import jax.core
 import jax.numpy as jnp
@@ -150,9 +150,7 @@ def restart(scene: Scene, state: State) -> tuple[State, Float[Array, ""]]:
         wrench = total_wrench(scene.loads, rod, still) - elastic
         rate, force = solve(wrench, given / scales.force, (motions[0][0], motions[1][0]))
         zero = jnp.zeros_like(rate)
-        new = dataclasses.replace(
-            state, rate=rate, acceleration=zero, auxiliary=zero, force=force
-        )
+        new = dataclasses.replace(state, rate=rate, acceleration=zero, auxiliary=zero, force=force)
         return new, jnp.zeros_like(state.time)
 
     before = inertia.kinetic_energy(scene, motion)

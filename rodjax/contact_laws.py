@@ -44,7 +44,7 @@ class AbstractLaw(eqx.Module):
         """psi(d, c) [N/m^2] for d above `smallest`."""
 
     @abc.abstractmethod
-    def smallest(self, pair: PairProperties):
+    def smallest(self, pair: PairProperties) -> Array:
         """Distance below which the law is continued by its tangent in d (C1)."""
 
     def uses_mass(self) -> bool:
@@ -91,10 +91,11 @@ class DampedInversePower(AbstractLaw):
     def uses_mass(self):
         return True
 
-    def smallest(self, pair):
+    def smallest(self, pair) -> Array:
         return (self.offset + self.gap_floor) * pair.diameter
 
     def repulsion(self, distance, approach, pair):
+        assert pair.mass is not None  # `Contact.check` has seen to it
         gap = distance - self.offset * pair.diameter
         speed = jnp.abs(approach)
         resting = speed == 0
@@ -113,7 +114,7 @@ class InversePower(AbstractLaw):
     def __check_init__(self):
         _positive(strength=self.strength, exponent=self.exponent, floor=self.floor)
 
-    def smallest(self, pair):
+    def smallest(self, pair) -> Array:
         return self.floor * pair.diameter
 
     def repulsion(self, distance, approach, pair):
@@ -132,7 +133,7 @@ class LennardJones(AbstractLaw):
     def __check_init__(self):
         _positive(energy=self.energy, range=self.range)
 
-    def smallest(self, pair):
+    def smallest(self, pair) -> Array:
         return 0.5 * self.range * jnp.ones_like(pair.diameter)
 
     def repulsion(self, distance, approach, pair):
@@ -155,7 +156,7 @@ class DebyeHueckel(AbstractLaw):
     def __check_init__(self):
         _positive(strength=self.strength, screening=self.screening, floor=self.floor)
 
-    def smallest(self, pair):
+    def smallest(self, pair) -> Array:
         return self.floor * pair.diameter
 
     def repulsion(self, distance, approach, pair):
@@ -178,7 +179,7 @@ class Barrier(AbstractLaw):
     def __check_init__(self):
         _positive(stiffness=self.stiffness, reach=self.reach, floor=self.floor)
 
-    def smallest(self, pair):
+    def smallest(self, pair) -> Array:
         return pair.diameter * (1 + self.floor * self.reach)
 
     def repulsion(self, distance, approach, pair):
@@ -200,7 +201,7 @@ class Penalty(AbstractLaw):
     def __check_init__(self):
         _positive(stiffness=self.stiffness, softness=self.softness)
 
-    def smallest(self, pair):
+    def smallest(self, pair) -> Array:
         return jnp.zeros_like(pair.diameter)
 
     def repulsion(self, distance, approach, pair):

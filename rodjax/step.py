@@ -339,9 +339,11 @@ def step(
     radius, settling = method.spectral_radius, None
     if scene.switch_times:
         state = prepare(scene, state)
+        left = state.settling
+        assert left is not None
         switches = jnp.any(jnp.stack([t == state.time for t in scene.switch_times]))
         state, loss = lax.cond(switches, lambda s: restart(scene, s), lambda s: (s, loss), state)
-        settling = jnp.where(switches, SETTLING_STEPS, state.settling)
+        settling = jnp.where(switches, SETTLING_STEPS, left)
         radius = jnp.where(settling > 0, 0.0, radius)
     equations = StepEquations(scene, state, stop, radius)
     guess = equations.guess()

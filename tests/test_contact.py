@@ -182,16 +182,17 @@ def test_ripple_of_the_force_is_under_two_percent(name):
     assert np.ptp(force) < 0.02 * np.mean(force)
 
 
-def test_force_does_not_depend_on_the_spacing_of_grid_or_points():
+def test_force_does_not_depend_on_the_spacing_of_the_points():
     totals = []
-    for elements, points in ((96, 160), (48, 160), (96, 320)):
-        scene = Scene(hairpin(elements), contact=Contact(LAWS["damped"], points=points, cutoff=0.1))
+    for points in (160, 320):
+        scene = Scene(hairpin(96), contact=Contact(LAWS["damped"], points=points, cutoff=0.1))
         state = start(scene)
         found = ct.report(
             scene.contact, scene.rod, state.position, state.quaternion, state.velocity
         )
         totals.append(float(found.total))
-    np.testing.assert_allclose(totals, totals[0], rtol=0.03)
+    assert totals[0] > 0
+    np.testing.assert_allclose(totals, totals[0], rtol=0.01)
 
 
 def test_capacity_overflow_is_reported(bent):

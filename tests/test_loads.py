@@ -83,8 +83,11 @@ def test_morison_drag_by_hand(seed, moving_fluid):
         v = np.asarray(motion.velocity[i]) - (0 if current is None else current)
         v_t = (v @ t) * t
         v_n = v - v_t
-        expected = -0.5 * 1.3 * diameters[i] * (
-            0.9 * np.linalg.norm(v_n) * v_n + np.pi * 0.07 * np.linalg.norm(v_t) * v_t
+        expected = (
+            -0.5
+            * 1.3
+            * diameters[i]
+            * (0.9 * np.linalg.norm(v_n) * v_n + np.pi * 0.07 * np.linalg.norm(v_t) * v_t)
         )
         np.testing.assert_allclose(found[i, :3], expected, atol=1e-13)
         assert found[i, :3] @ v <= 0  # it only takes energy

@@ -247,4 +247,5 @@ def test_schedule_that_ends_early_is_refused():
     with pytest.raises(ValueError, match=r"first_end.displacement: its schedule ends at 2.*run"):
         scene.check_until(3.0)
     with pytest.raises(ValueError, match=r"last_end.rotation: its schedule ends at 4"):
-        Scene(rod, Free(), Clamped(rotation=Turn((0, 0, 1), Smooth([0, 4], [0, 1])))).check_until(5.0)
+        turned = Clamped(rotation=Turn((0, 0, 1), Smooth([0, 4], [0, 1])))
+        Scene(rod, Free(), turned).check_until(5.0)
