@@ -26,7 +26,7 @@ from example import FROM_PAPER, LOADING_AXIS, PRESETS, Preset, scene
 from jax import lax
 from tqdm import tqdm
 
-from rodjax import contact, energy, measures, plot, simulate, storage
+from rodjax import contact_forces, energy, measures, plot, simulate, storage
 from rodjax.consistency import start
 from rodjax.generalized_alpha import GeneralizedAlpha
 from rodjax.results import MESSAGES, Result
@@ -205,7 +205,7 @@ def measure(scene: Scene, run: Run) -> Measured:
     @eqx.filter_jit
     def contacts(scene, states):
         def one(s):
-            found = contact.report(scene.contact, scene.rod, s.position, s.quaternion, s.velocity)
+            found = contact_forces.report(scene.contact, scene.rod, s.position, s.velocity)
             return found.total, found.smallest
 
         return lax.map(one, states)

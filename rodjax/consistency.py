@@ -5,6 +5,7 @@ that begins during a run, is first order or fails without them.
 """
 
 import dataclasses
+import functools
 
 import equinox as eqx
 import jax
@@ -14,13 +15,13 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Float
 
-from rodjax import balance, contact, ends, inertia, rotations
+from rodjax import balance, contact_forces, ends, inertia, rotations
 from rodjax.balance import Scales
 from rodjax.block_tridiagonal import BlockTridiagonal
 from rodjax.loads import NodeMotion, total_wrench
 from rodjax.scene import Scene, projectors
 from rodjax.state import State
-from rodjax.strains import strains
+from rodjax.strains import relative_rotation, strains
 
 
 def start(
@@ -83,14 +84,18 @@ def start(
         jnp.zeros((nodes, 6), dtype),
         jnp.zeros((rod.elements, 3), dtype),
     )
-    return _compiled_restart(scene, state)[0]
+    return compiled_restart(scene, state)[0]
 
 
-def restart(scene: Scene, state: State) -> tuple[State, Float[Array, ""]]:
+def restart(
+    scene: Scene, state: State, *, with_jerk: bool = False
+) -> tuple[State, Float[Array, ""]]:
     """The state with consistent velocities, accelerations and forces, and the energy lost [J].
 
     Velocities: M dV + J^T p = 0 with J (V + dV) = 0 and the ends' velocities; then accelerations
-    and forces: M V' + J^T f = loads - internal - gyroscopic, J V' = -J' V, the ends' accelerations.
+    and forces: M V' + J^T f = loads - internal - gyroscopic, J V' = -J' V, the ends' accelerations;
+    `with_jerk` also the part of V'' normal to the constraints: M V'' + J^T p = 0,
+    J V'' = -J'' V - 2 J' V' and the ends' own (see `generalized_alpha.opening`).
     """
     rod = scene.rod
     both = projectors(scene, state.time)
@@ -165,19 +170,65 @@ def restart(scene: Scene, state: State) -> tuple[State, Float[Array, ""]]:
     if scene.loads:
         wrench = wrench + total_wrench(scene.loads, rod, motion)
     if scene.contact is not None:
-        pushed = contact.report(
-            scene.contact, rod, state.position, state.quaternion, motion.velocity
-        ).force
+        pushed = contact_forces.report(scene.contact, rod, state.position, motion.velocity).force
         wrench = wrench.at[:, :3].add(pushed)
     right = jnp.where(rigid > 0, -constraint_rate(rate)[1], given / scales.force)
     acceleration, force = solve(wrench, right, (motions[0][1], motions[1][1]))
     new = dataclasses.replace(
         state, rate=rate, acceleration=acceleration, auxiliary=acceleration, force=force
     )
+    if with_jerk:
+        prescribed = tuple(
+            ends.jerk(end, state.time, state.quaternion[index])
+            for index, end in zip((0, -1), scene.ends, strict=True)
+        )
+        right = -rigid * _stretch_jerk(rod, state.quaternion, kinematics, rate, acceleration)
+        jerk, _ = solve(jnp.zeros_like(rate), right, prescribed)
+        new = dataclasses.replace(new, jerk=jerk)
     return new, before - after
 
 
-_compiled_restart = eqx.filter_jit(restart)
+compiled_restart = eqx.filter_jit(functools.partial(restart, with_jerk=True))
+
+
+def _stretch_jerk(rod, quaternion, kinematics, rate, acceleration) -> Float[Array, "n 3"]:
+    """Third derivative of gamma in a motion of these rates and constant accelerations.
+
+    By the product rule from gamma' = E^T dv/ds - omega_e x gamma and E' = E [omega_e x], which
+    compiles in a fraction of the time of two derivatives of `balance.stretch_rate`.
+    """
+
+    def element_spin(t):
+        """omega_e = (omega_i + omega_{i+1})/2 + u x (omega_{i+1} - omega_i), u = p/(2 (1 + w)).
+
+        (w, p) = q_i^-1 q_{i+1}; the same as in `balance.stretch_rate`, without logarithms.
+        """
+        turn = t * rate[:, 3:] + 0.5 * t**2 * acceleration[:, 3:]
+        # the exponential map to second order
+        real = 1 - 0.125 * jnp.sum(turn**2, 1, keepdims=True)
+        turned = rotations.multiply(quaternion, jnp.concatenate([real, 0.5 * turn], 1))
+        relative = relative_rotation(turned)
+        spin = rate[:, 3:] + t * acceleration[:, 3:]
+        change = jnp.cross(0.5 * relative[:, 1:] / (1 + relative[:, :1]), spin[1:] - spin[:-1])
+        return 0.5 * (spin[:-1] + spin[1:]) + change
+
+    now = jnp.zeros((), rate.dtype)
+    derivative = lambda f: lambda t: jax.jvp(f, (t,), (jnp.ones_like(t),))
+    (spin, spin1), (_, spin2) = derivative(derivative(element_spin))(now)
+    across = lambda v: jnp.einsum(
+        "nji,nj->ni", kinematics.frame, (v[1:, :3] - v[:-1, :3]) / rod.length[:, None]
+    )
+    stretch, edge, edge_pull = kinematics.stretch, across(rate), across(acceleration)
+    edge1 = edge_pull - jnp.cross(spin, edge)
+    edge2 = -jnp.cross(spin, edge_pull) - jnp.cross(spin1, edge) - jnp.cross(spin, edge1)
+    stretch1 = edge - jnp.cross(spin, stretch)
+    stretch2 = edge1 - jnp.cross(spin1, stretch) - jnp.cross(spin, stretch1)
+    return (
+        edge2
+        - jnp.cross(spin2, stretch)
+        - 2 * jnp.cross(spin1, stretch1)
+        - jnp.cross(spin, stretch2)
+    )
 
 
 def _release(blocks: BlockTridiagonal, rigid: Float[Array, "n 3"]) -> BlockTridiagonal:

@@ -1,78 +1,130 @@
-"""Newton systems whose block-tridiagonal matrix is coupled by a dense block at a few sites.
+"""Newton systems whose block-tridiagonal matrix is coupled by contact between distant nodes.
 
-The matrix is A + L C R^T: A block tridiagonal, C the pair derivatives of the active contact
-points (3m x 3m), R^T reads the displacements of those points, L puts forces on them into the
-force balances. Eliminating A leaves a dense system of 3m unknowns (Woodbury's identity in the
-form that needs no inverse of C).
+The matrix is A + L K R^T: A block tridiagonal, K the sum of the pairs' derivatives over the
+joints in contact (3m x 3m), R^T reads the displacements of those joints, L puts forces on them
+into the force balances. Eliminating A leaves a dense system of 3m unknowns (Woodbury's identity
+in the form that needs no inverse of K).
 """
+
+from typing import NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float
 
+from rodjax.balance import Scales
 from rodjax.block_tridiagonal import BlockTridiagonal, Factors
-from rodjax.contact import ActiveSet, Contact, Sites, at_level, pairs
+from rodjax.contact import Sites, interpolate, sites, spread
+from rodjax.contact_forces import forces_and_derivative, gather, joints_of
+from rodjax.loads import NodeMotion
+from rodjax.scene import Scene
+from rodjax.screening import Near, search
+
+
+class Nearby(NamedTuple):
+    """Where the rod can touch itself, and the pairs found near each other."""
+
+    where: Sites
+    near: Near
+
+
+def find_nearby(scene: Scene, position: Float[Array, "nodes 3"], displacement=None) -> Nearby:
+    """Search for contact, before a motion of the expected displacement if one is given."""
+    assert scene.contact is not None
+    where = sites(scene.contact, scene.rod)
+    return Nearby(where, search(scene.contact, where, position, displacement))
 
 
 class Coupling(eqx.Module):
-    """Contact of a Newton iterate, ready to be evaluated for any size of the active set."""
+    """Derivative of the contact forces, pair by pair, and where it stands in the matrix."""
 
-    contact: Contact
     where: Sites
-    active: ActiveSet
-    points: Float[Array, "p 3"]
-    velocities: Float[Array, "p 3"]
-    by_velocity: Float[Array, ""]
-    scale: Float[Array, ""]  # of the derivative: length over force
+    near: Near
+    derivative: Float[Array, "q 4 4 3 3"]  # of minus the force by the joints, scaled
     left: Float[Array, "nodes 9 3"]  # where a force on a node enters its block row
     right: Float[Array, "nodes 9 3"]  # where a node's displacement stands in its block column
-    transposed: bool = eqx.field(static=True, default=False)
+    sizes: tuple[int, ...] = eqx.field(static=True)  # numbers of joints with a solver
+    pairs: tuple[int, ...] = eqx.field(static=True)  # and of pairs that go with them
 
     def transpose(self) -> "Coupling":
         """The coupling of the transposed matrix."""
+        swapped = jnp.transpose(self.derivative, (0, 2, 1, 4, 3))
         return Coupling(
-            self.contact,
-            self.where,
-            self.active,
-            self.points,
-            self.velocities,
-            self.by_velocity,
-            self.scale,
-            left=self.right,
-            right=self.left,
-            transposed=not self.transposed,
+            self.where, self.near, swapped, self.right, self.left, self.sizes, self.pairs
         )
 
-    def derivative(self, size: int) -> Float[Array, "rows rows"]:
-        """Scaled derivative of minus the point forces by the points' positions."""
-        return self.evaluate(size)[1]
-
-    def evaluate(self, size: int) -> tuple[Float[Array, "m 3"], Float[Array, "k k"]]:
-        """Forces on the active points [N], and `derivative`."""
-        found = pairs(
-            self.contact,
-            self.where,
-            self.active,
-            size,
-            self.points,
-            self.velocities,
-            self.by_velocity,
-        )
-        assert found.derivative is not None
-        matrix = self.scale * found.derivative.reshape(3 * size, 3 * size)
-        return found.force, matrix.T if self.transposed else matrix
-
-    def enter(self, size: int, force: Float[Array, "m 3"]) -> Float[Array, "nodes 9"]:
-        """Forces on the active points as they enter the block rows."""
-        return jnp.einsum("jrk,jp,pk->jr", self.left, self.weights(size), force)
+    def matrix(self, level: int) -> Float[Array, "k k"]:
+        """K of the joints in contact, for one of the sizes."""
+        size, pairs = self.sizes[level], self.pairs[level]
+        rank = jnp.stack([self.near.rank[joint[:pairs]] for joint in joints_of(self.near)], 1)
+        place = 3 * rank[:, :, None] + jnp.arange(3)
+        index = (place[:, :, None, :, None], place[:, None, :, None, :])
+        empty = jnp.zeros((3 * size, 3 * size), self.derivative.dtype)
+        return empty.at[index].add(self.derivative[:pairs], mode="drop")
 
     def weights(self, size: int) -> Float[Array, "nodes m"]:
-        """Interpolation weights of the active points at the nodes."""
-        chosen = self.active.order[:size]
+        """Interpolation weights of the joints in contact at the nodes."""
+        chosen = self.near.order[:size]
         element, weight = self.where.element[chosen], self.where.weight[chosen]
         node = jnp.arange(self.left.shape[0])[:, None]
         return (node == element) * (1 - weight) + (node == element + 1) * weight
+
+    def read(self, columns: Float[Array, "nodes 9 c"], size: int) -> Float[Array, "k c"]:
+        """R^T times columns: displacements of the joints in contact."""
+        chosen = self.near.order[:size]
+        element, weight = self.where.element[chosen], self.where.weight[chosen]
+        at = lambda node: jnp.einsum("mrk,mrc->mkc", self.right[node], columns[node])
+        mixed = (1 - weight)[:, None, None] * at(element) + weight[:, None, None] * at(element + 1)
+        return mixed.reshape(3 * size, -1)
+
+    def multiply(self, b: Float[Array, "nodes 9"]) -> Float[Array, "nodes 9"]:
+        """L K R^T b, pair by pair."""
+        nodal = jnp.einsum("jrk,jr->jk", self.right, b)
+        element, weight = self.where.element, self.where.weight[:, None]
+        moved = (1 - weight) * nodal[element] + weight * nodal[element + 1]
+        index = jnp.stack(joints_of(self.near), 1)
+        force = jnp.einsum("qijkl,qjl->qik", self.derivative, moved[index])
+        force = gather(self.near, force, element.shape[0])
+        nodal = jnp.zeros_like(nodal).at[element].add((1 - weight) * force)
+        nodal = nodal.at[element + 1].add(weight * force)
+        return jnp.einsum("jrk,jk->jr", self.left, nodal)
+
+
+def couple(
+    scene: Scene,
+    nearby: Nearby | None,
+    motion: NodeMotion,
+    by_velocity: Float[Array, ""],
+    projectors: tuple[Float[Array, "6 6"], Float[Array, "6 6"]],
+    scales: Scales,
+) -> tuple[Float[Array, "nodes 3"] | None, Coupling | None]:
+    """Contact forces on the nodes [N], and their derivative in a system as `balance.assemble`'s.
+
+    Velocities follow positions by the factor `by_velocity`. (None, None) without contact.
+    """
+    contact = scene.contact
+    if contact is None or nearby is None:
+        return None, None
+    where, near = nearby
+    joints, velocities = (interpolate(where, x) for x in (motion.position, motion.velocity))
+    found = forces_and_derivative(contact, where, near, joints, velocities, by_velocity)
+    assert found.derivative is not None
+    nodes, dtype = motion.position.shape[0], motion.position.dtype
+    eye = jnp.zeros((9, 3), dtype).at[3:6].set(jnp.eye(3, dtype=dtype))
+    left = jnp.broadcast_to(eye, (nodes, 9, 3))
+    for index, projector in zip((0, -1), projectors, strict=True):
+        left = left.at[index, 3:].add(-projector[:, :3])
+    coupling = Coupling(
+        where,
+        near,
+        scales.length / scales.force * found.derivative,
+        left,
+        jnp.broadcast_to(jnp.roll(eye, -3, axis=0), left.shape),
+        contact.sizes,
+        tuple(map(contact.pair_capacity, contact.sizes)),
+    )
+    return spread(where, gather(near, found.force, contact.segments + 1), nodes), coupling
 
 
 class CoupledSystem(eqx.Module):
@@ -88,14 +140,20 @@ class CoupledSystem(eqx.Module):
 
     def solve(self, b: Float[Array, "nodes 9"]) -> Float[Array, "nodes 9"]:
         """Solution of the system."""
-        if self.coupling is None:
-            return self.blocks.solve(b)
-        coupling = self.coupling
-        none = lambda b: self.blocks.solve(b)  # noqa: PLW0108 (cond hashes a bound method)
-        some = lambda size: (
-            lambda b, factors: solve_coupled(factors, coupling, size, coupling.derivative(size), b)
-        )
-        return coupled_or_not(self.blocks, coupling, none, some, b)
+        coupling, blocks = self.coupling, self.blocks
+        if coupling is None:
+            return blocks.solve(b)
+
+        def some(level):
+            return lambda b, factors: _solve_coupled(factors, coupling, level, b)
+
+        branches = [some(level) for level in range(len(coupling.sizes))]
+
+        def touching(b):
+            return lax.switch(coupling.near.level - 1, branches, b, blocks.factorize())
+
+        apart = lambda b: blocks.solve(b)  # noqa: PLW0108 (cond hashes a bound method)
+        return lax.cond(coupling.near.level > 0, touching, apart, b)
 
     def solve_transpose(self, b: Float[Array, "nodes 9"]) -> Float[Array, "nodes 9"]:
         """Solution of the transposed system."""
@@ -104,34 +162,12 @@ class CoupledSystem(eqx.Module):
     def multiply(self, b: Float[Array, "nodes 9"]) -> Float[Array, "nodes 9"]:
         """Matrix times vector."""
         product = self.blocks.multiply(b[:, :, None])[:, :, 0]
-        if self.coupling is None:
-            return product
-        coupling = self.coupling
-
-        def some(size):
-            def branch(b):
-                weights = coupling.weights(size)
-                at_points = jnp.einsum("jp,jrk,jr->pk", weights, coupling.right, b)
-                force = (coupling.derivative(size) @ at_points.reshape(-1)).reshape(size, 3)
-                return coupling.enter(size, force)
-
-            return branch
-
-        return product + at_level(coupling.contact, coupling.active, jnp.zeros_like, some, b)
+        return product if self.coupling is None else product + self.coupling.multiply(b)
 
 
-def coupled_or_not(blocks: BlockTridiagonal, coupling: Coupling, none, some, b):
-    """`none(b)` without active points, else `some(size)(b, factors)` for the size in use."""
-    branches = [some(size) for size in coupling.contact.sizes]
-
-    def touching(b):
-        return lax.switch(coupling.active.level - 1, branches, b, blocks.factorize())
-
-    return lax.cond(coupling.active.level > 0, touching, none, b)
-
-
-def solve_coupled(factors: Factors, coupling: Coupling, size: int, derivative, b):
-    """Solve with m active points: 3m + 1 columns through A, then a dense system."""
+def _solve_coupled(factors: Factors, coupling: Coupling, level: int, b):
+    """Solve with m joints in contact: 3m + 1 columns through A, then a dense system."""
+    size = coupling.sizes[level]
     m = 3 * size
     weights = coupling.weights(size)
     entry = factors.inverse @ jnp.concatenate([coupling.left, b[:, :, None]], 2)
@@ -151,15 +187,8 @@ def solve_coupled(factors: Factors, coupling: Coupling, size: int, derivative, b
     zero = jnp.zeros((9, m + 1), b.dtype)
     _, middle = lax.scan(forward, zero, (factors.lower, entry, weights))
     _, columns = lax.scan(backward, zero, (factors.upper, middle), reverse=True)
-    chosen = coupling.active.order[:size]
-    element, weight = coupling.where.element[chosen], coupling.where.weight[chosen]
-
-    def read(columns):  # (n+1, 9, c) -> (m, c)
-        at = lambda node: jnp.einsum("prk,prc->pkc", coupling.right[node], columns[node])
-        mixed = (1 - weight)[:, None, None] * at(element) + weight[:, None, None] * at(element + 1)
-        return mixed.reshape(m, -1)
-
-    response = read(columns)
-    system = jnp.eye(m, dtype=b.dtype) + response[:, :m] @ derivative
+    response = coupling.read(columns, size)
+    matrix = coupling.matrix(level)
+    system = jnp.eye(m, dtype=b.dtype) + response[:, :m] @ matrix
     displacement = jnp.linalg.solve(system, response[:, m])
-    return columns[:, :, m] - columns[:, :, :m] @ (derivative @ displacement)
+    return columns[:, :, m] - columns[:, :, :m] @ (matrix @ displacement)

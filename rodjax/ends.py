@@ -46,6 +46,11 @@ class Turn(eqx.Module):
     def until(self):
         return self.angle.until
 
+    @property
+    def corners(self):
+        """Times at which a derivative of the angle jumps [s]."""
+        return self.angle.corners
+
 
 class AbstractEnd(eqx.Module):
     """One end of a rod."""
@@ -187,3 +192,12 @@ def rates(
     velocity, acceleration = motion(end.displacement)
     spin, spin_rate = (rotations.rotate_inverse(quaternion, x) for x in motion(end.rotation))
     return jnp.concatenate([velocity, spin]), jnp.concatenate([acceleration, spin_rate])
+
+
+def jerk(
+    end: AbstractEnd, time: Float[Array, ""], quaternion: Float[Array, "4"]
+) -> Float[Array, "6"]:
+    """Derivative of the prescribed acceleration: inertial translation, body rotation."""
+    # the axis of a turn is fixed, so its body components rest while the end turns about it
+    acceleration = lambda t: rates(end, t, quaternion)[1]
+    return jax.jvp(acceleration, (time,), (jnp.ones_like(time),))[1]

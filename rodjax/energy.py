@@ -16,13 +16,13 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float
 
-from rodjax import contact, inertia, rotations
+from rodjax import contact_forces, inertia, rotations
 from rodjax.loads import Gravity, LinearDrag, MorisonDrag, NodeMotion, total_wrench
 from rodjax.rod import Rod
 from rodjax.scene import Scene, projectors
 from rodjax.simulate import Run
 from rodjax.state import State
-from rodjax.step import find_nearby, nodal_balance
+from rodjax.step import nodal_balance
 from rodjax.strains import curvature, strains
 
 
@@ -87,14 +87,11 @@ def gravity_energy(scene: Scene, state: State) -> Float[Array, ""]:
 def contact_wrench(scene: Scene, state: State) -> Float[Array, "nodes 6"]:
     """What contact exerts on the nodes: force (inertial) [N], moment (body) [N m].
 
-    The one place where energies and reactions meet contact. The search and its tangents are
-    those of the state itself, where a step predicts them from its start.
+    The one place where energies and reactions meet contact.
     """
     if scene.contact is None:
         return jnp.zeros_like(state.rate)
-    motion = node_motion(state)
-    nearby = find_nearby(scene, motion, None)
-    forces = contact.forces(scene.contact, scene.rod, *nearby, state.position, state.velocity)
+    forces = contact_forces.report(scene.contact, scene.rod, state.position, state.velocity).force
     return jnp.concatenate([forces, jnp.zeros_like(forces)], 1)
 
 

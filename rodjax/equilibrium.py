@@ -2,11 +2,12 @@
 
 On the path with parameter p from 0 to 1 the residual is
 
-    internal(x) - p loads(x, t(p)) - (1 - p) internal(x_0) = 0,    t(p) = t_0 + p (t - t_0),
+    inner(x) - p loads(x, t(p)) - (1 - p) inner(x_0) = 0,    t(p) = t_0 + p (t - t_0),
 
-and the ends have moved by what their schedules say at t(p). The start x_0 solves it at p = 0
-whatever it is; a start that is an equilibrium already stays one; a rod placed at rest sees its
-loads grow from zero. Where Newton's method fails the path's step is halved.
+with `inner` the internal forces less those of self-contact, and the ends have moved by what their
+schedules say at t(p). The start x_0 solves it at p = 0 whatever it is; a start that is an
+equilibrium already stays one; a rod placed at rest sees its loads grow from zero. Where Newton's
+method fails the path's step is halved.
 """
 
 from typing import Any, NamedTuple
@@ -19,10 +20,10 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Float, Int
 
-from rodjax import balance, ends, newton, results, rotations
+from rodjax import balance, contact_forces, ends, newton, results, rotations, screening
 from rodjax.anchored import AnchoredSystem
 from rodjax.balance import Internal, Scales
-from rodjax.coupled import CoupledSystem
+from rodjax.coupled import CoupledSystem, couple, find_nearby
 from rodjax.inertia import node_jacobian
 from rodjax.loads import DistributedLoad, NodeMotion, total_wrench
 from rodjax.results import Result
@@ -129,11 +130,17 @@ class StaticEquations(eqx.Module):
         node = load_tangent(scene, motion, self.ramp.factor)
         first, last = projectors(scene, self.start.time)
         blocks = balance.assemble(scene.rod, tangent, node, (first, last), scales)
-        system = CoupledSystem(blocks)
+        nearby = None if scene.contact is None else find_nearby(scene, motion.position)
+        coupled = lambda blocks, projectors: CoupledSystem(
+            blocks,
+            couple(scene, nearby, motion, jnp.zeros_like(scales.force), projectors, scales)[1],
+        )
+        system = coupled(blocks, (first, last))
         if not isinstance(scene.first_end, ends.Clamped):
             eye = jnp.eye(6, dtype=x.dtype)
-            held = balance.assemble(scene.rod, tangent, node, (eye, jnp.zeros_like(eye)), scales)
-            system = AnchoredSystem(system, CoupledSystem(held))
+            other = (eye, jnp.zeros_like(eye))
+            held = balance.assemble(scene.rod, tangent, node, other, scales)
+            system = AnchoredSystem(system, coupled(held, other))
         return system
 
     def newton_increment(self, x):
@@ -148,9 +155,16 @@ class StaticEquations(eqx.Module):
         return x + self.lift(x, dx)
 
     def limit(self, x, dx):
-        """No node may turn by more than `max_rotation` in an iteration."""
+        """No node may turn by more than `max_rotation` in an iteration, no strands pass."""
         largest = jnp.sqrt(jnp.max(jnp.sum(dx[:, 6:] ** 2, 1)))
-        return jnp.minimum(1.0, self.max_rotation / jnp.maximum(largest, self.max_rotation))
+        scale = jnp.minimum(1.0, self.max_rotation / jnp.maximum(largest, self.max_rotation))
+        if self.scene.contact is None:
+            return scale
+        position, change = self.motion(x).position, dx[:, :3] * self.scales.length
+        nearby = find_nearby(self.scene, position, change)
+        return jnp.minimum(
+            scale, screening.approach_limit(self.scene.contact, *nearby, position, change)
+        )
 
     def size(self, dx):
         """Largest displacement over the rod's length, or rotation [rad]."""
@@ -167,11 +181,14 @@ def at_rest(time, position, quaternion) -> NodeMotion:
 def static_balance(
     scene: Scene, motion: NodeMotion, force: Float[Array, "n 3"], factor: Factor = 1.0
 ):
-    """Internal - factor external wrench of every node (n+1, 6), and the constraint (n, 3)."""
+    """Internal - factor external - contact wrench of every node (n+1, 6), and the constraint."""
     inner = balance.internal(scene.rod, motion.position, motion.quaternion, force)
     wrench = jnp.concatenate([inner.force, inner.moment], 1)
     if scene.loads:
         wrench = wrench - factor * total_wrench(scene.loads, scene.rod, motion)
+    if scene.contact is not None:
+        pushed = contact_forces.report(scene.contact, scene.rod, motion.position, motion.velocity)
+        wrench = wrench.at[:, :3].add(-pushed.force)
     return wrench, inner.constraint
 
 
@@ -274,8 +291,6 @@ def equilibrium(
             f"tolerance: {float(tolerance):g} is out of reach of {np.dtype(dtype).name}; use a"
             " larger one, or float64 (jax.config.update('jax_enable_x64', True))"
         )
-    if scene.contact is not None:
-        raise ValueError("contact: statics does not know contact yet; give a scene without it")
     _check_path(scene, state, stop)
     check_held(scene, state)
     as_array = lambda value: jnp.asarray(value, dtype)

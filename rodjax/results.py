@@ -31,11 +31,12 @@ MESSAGES = {
         "Newton's method did not converge; use a smaller step, or the adaptive rollout"
     ),
     Result.STRAND_PASSAGE: (
-        "a strand seems to have passed through another (Tw + Wr jumped); use closer contact points,"
+        "a strand seems to have passed through another (Tw + Wr jumped); use more contact segments,"
         " a stiffer law or smaller steps"
     ),
     Result.CAPACITY_OVERFLOW: (
-        "more contact points were active than the contact's `capacity` holds; raise it"
+        "more pairs or joints were in contact than the contact's `pairs_per_segment` and"
+        " `capacities` hold; raise them"
     ),
     Result.ROTATION_TOO_LARGE: (
         "an element or a step turned by more than a revolution; use more elements or smaller steps"

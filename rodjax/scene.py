@@ -52,6 +52,13 @@ class Scene(eqx.Module):
         """Times at which a constraint changes; steps must end on them."""
         return tuple(t for end in self.ends for t in end.switch_times)
 
+    @property
+    def corners(self) -> Float[Array, " k"]:
+        """Times at which a derivative of a drive jumps; adaptive steps end on them."""
+        drives = [d for end in self.ends for d in (end.displacement, end.rotation)]
+        corners = [drive.corners for drive in drives if drive is not None]
+        return jnp.concatenate([jnp.zeros((0,)), *corners])
+
     def check_until(self, time: float) -> None:
         """Raise ValueError if a schedule ends before `time` (outside traced code only)."""
         for name, end in zip(("first_end", "last_end"), self.ends, strict=True):

@@ -22,6 +22,11 @@ class AbstractSchedule(eqx.Module):
     def until(self) -> float | Array:
         """Last time for which the schedule is given [s]."""
 
+    @property
+    def corners(self) -> Float[Array, " k"]:
+        """Times at which a derivative jumps, where adaptive steps should end [s]."""
+        return jnp.zeros((0,))
+
 
 def _check_knots(times, values, name="values"):
     if isinstance(times, jax.core.Tracer) or not hasattr(times, "shape"):
@@ -70,6 +75,10 @@ class PiecewiseLinear(AbstractSchedule):
     def until(self):
         return self.times[-1]
 
+    @property
+    def corners(self):
+        return self.times
+
 
 class PiecewiseLinearRate(AbstractSchedule):
     """The integral from the first knot of a rate that is linear between knots (Fig. 6)."""
@@ -92,6 +101,10 @@ class PiecewiseLinearRate(AbstractSchedule):
     def until(self):
         return self.times[-1]
 
+    @property
+    def corners(self):
+        return self.times
+
 
 class Smooth(AbstractSchedule):
     """Quintic steps from knot to knot: rate and acceleration vanish at every knot (C2)."""
@@ -105,13 +118,18 @@ class Smooth(AbstractSchedule):
     def __call__(self, time):
         i = _piece(self.times, time)
         x = (time - self.times[i]) / (self.times[i + 1] - self.times[i])
-        x = jnp.clip(x, 0.0, 1.0)
+        # not by clip, whose derivative at a knot is half that of the piece that begins there
+        x = jnp.where(x < 0, 0.0, jnp.where(x > 1, 1.0, x))
         blend = x**3 * (10 - 15 * x + 6 * x**2)
         return self.values[i] + blend * (self.values[i + 1] - self.values[i])
 
     @property
     def until(self):
         return self.times[-1]
+
+    @property
+    def corners(self):
+        return self.times
 
 
 class Function(AbstractSchedule):

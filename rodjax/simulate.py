@@ -13,12 +13,13 @@ from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
 from rodjax import results
+from rodjax.consistency import compiled_restart
 from rodjax.generalized_alpha import GeneralizedAlpha
 from rodjax.results import Result
 from rodjax.rotations import logarithm
 from rodjax.scene import Scene
 from rodjax.state import State
-from rodjax.step import StepInfo, prepare, step
+from rodjax.step import StepInfo, advance_to, begin_constraint, prepare, step, switching
 from rodjax.strains import relative_rotation
 
 
@@ -203,6 +204,7 @@ class _Chunk(NamedTuple):
     wasted: Int[Array, ""]
     result: Int[Array, ""]
     done: Bool[Array, ""]
+    switching: Bool[Array, ""]  # a constraint begins: the caller makes the state consistent
 
 
 def adaptive_rollout(
@@ -220,7 +222,9 @@ def adaptive_rollout(
 ) -> Run:
     """Run to `end_time` with steps chosen by the local error; every accepted step is saved.
 
-    Steps end exactly on the times at which a constraint changes. The loop is compiled once and
+    Steps end exactly on the times at which a constraint or a drive's rate changes (and a
+    constraint that begins at `end_time` itself is left to the run resumed from there). The loop
+    is compiled once and
     called for `chunk` accepted steps at a time; `on_chunk(part)` is called after each, for
     progress and storage, with a `Run` of its accepted steps (its states lack the start, its
     counts are those so far; see `join_runs`). Not differentiable itself: replay `run.times[1:]`
@@ -250,11 +254,18 @@ def adaptive_rollout(
     rejected = wasted = accepted = 0
     current, code, done = state, Result.SUCCESS, False
     while not done:
+        loss = None
+        if scene.switch_times and bool(switching(scene, current)):
+            current, loss = begin_constraint(scene, current, compiled_restart)
         out = _adaptive_chunk(scene, current, memory, end, method, tolerances, size)
         count = int(out.accepted)
         current, memory = out.state, out.control
         cut = lambda leaf, count=count: np.asarray(leaf[:count])
         states, infos = jax.tree.map(cut, (out.states, out.infos))
+        if loss is not None and count:
+            losses = infos.projection_loss.copy()
+            losses[0] = loss
+            infos = infos._replace(projection_loss=losses)
         accepted += count
         rejected += int(out.rejected)
         wasted += int(out.wasted)
@@ -317,9 +328,10 @@ def _memory(control: StepControl, span: float, dtype, resume: Control | None = N
 
 @eqx.filter_jit
 def _adaptive_chunk(scene, state, control, end_time, method, tolerances, size):
-    info_shape = eqx.filter_eval_shape(step, scene, state, end_time, method)[1]
+    info_shape = eqx.filter_eval_shape(advance_to, scene, state, end_time, method)[1]
     empty = lambda leaf: jnp.zeros((size, *leaf.shape), leaf.dtype)
-    marks = jnp.stack([*scene.switch_times, end_time]).astype(end_time.dtype)
+    switches = jnp.asarray(scene.switch_times, end_time.dtype)
+    marks = jnp.concatenate([switches, scene.corners.astype(end_time.dtype), end_time[None]])
     length = jnp.sum(scene.rod.length)
     relative, absolute = tolerances
     tiny = jnp.finfo(state.position.dtype).tiny
@@ -331,7 +343,7 @@ def _adaptive_chunk(scene, state, control, end_time, method, tolerances, size):
         left = mark - now
         dt = jnp.where(left < 2 * dt, jnp.where(left < 1.01 * dt, left, 0.5 * left), dt)
         stop = jnp.where(left <= 1.0001 * dt, mark, now + dt)
-        new, info = step(scene, loop.state, stop, method)
+        new, info = advance_to(scene, loop.state, stop, method)
         failed = info.result != Result.SUCCESS
         phi = logarithm(relative_rotation(loop.state.quaternion))[:, :2]
         bent = jnp.clip(jnp.sum(jnp.sqrt(jnp.sum(phi**2, 1) + tiny)), 1e-6, 1.0)
@@ -378,6 +390,7 @@ def _adaptive_chunk(scene, state, control, end_time, method, tolerances, size):
             loop.wasted + (1 - one) * info.iterations,
             result.astype(jnp.int32),
             (chosen.time >= end_time) | too_small,
+            accept & jnp.any(chosen.time == switches),
         )
 
     zero = jnp.asarray(0, jnp.int32)
@@ -391,5 +404,10 @@ def _adaptive_chunk(scene, state, control, end_time, method, tolerances, size):
         zero,
         zero,
         state.time >= end_time,
+        jnp.asarray(False),
     )
-    return lax.while_loop(lambda loop: ~loop.done & (loop.accepted < size), attempt, first)
+
+    def going(loop: _Chunk):
+        return ~loop.done & ~loop.switching & (loop.accepted < size)
+
+    return lax.while_loop(going, attempt, first)

@@ -10,7 +10,9 @@ class State(eqx.Module):
     `rate` holds v in inertial and omega in body components, `acceleration` their derivatives,
     `auxiliary` the algorithmic acceleration of generalised-alpha, `force` the internal force f
     in the element frames. `settling` counts the steps still to be damped most after a constraint
-    began (None in scenes whose constraints never change).
+    began (None in scenes whose constraints never change). `jerk` is the part of V'' that the
+    constraints demand, where a start made the state, and zero after every step: with it the first
+    step begins as generalised-alpha needs (None: do without, as a rod without inertia does).
     """
 
     time: Float[Array, ""]
@@ -21,13 +23,14 @@ class State(eqx.Module):
     auxiliary: Float[Array, "nodes 6"]
     force: Float[Array, "n 3"]
     settling: Int[Array, ""] | None = None
+    jerk: Float[Array, "nodes 6"] | None = None
 
     @property
-    def velocity(self) -> Float[Array, "nodes 3"]:
-        """v in inertial components [m/s]."""
+    def velocity(self) -> Float[Array, "... nodes 3"]:
+        """v in inertial components [m/s]; of stacked states, those of a run, all of them."""
         return self.rate[..., :3]
 
     @property
-    def angular_velocity(self) -> Float[Array, "nodes 3"]:
+    def angular_velocity(self) -> Float[Array, "... nodes 3"]:
         """omega in body components [rad/s]."""
         return self.rate[..., 3:]

@@ -8,15 +8,16 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
-from rodjax import balance, contact, ends, newton, rotations
+from rodjax import balance, contact_forces, ends, newton, rotations, screening
 from rodjax.balance import Scales
 from rodjax.consistency import restart
-from rodjax.coupled import CoupledSystem, Coupling, coupled_or_not, solve_coupled
+from rodjax.coupled import CoupledSystem, Coupling, Nearby, couple, find_nearby
 from rodjax.generalized_alpha import (
     GeneralizedAlpha,
     advance,
     coefficients,
     local_error,
+    opening,
     predicted_increment,
 )
 from rodjax.inertia import inertial_wrench, node_jacobian
@@ -44,13 +45,6 @@ class StepInfo(NamedTuple):
 # Steps after a constraint began that are taken with spectral radius 0: its shock excites modes
 # that no step of practical size resolves, and without damping they ring on in the forces.
 SETTLING_STEPS = 4
-
-
-class Nearby(NamedTuple):
-    """Contact sites and the outcome of the search, fixed over a step."""
-
-    where: contact.Sites
-    active: contact.ActiveSet
 
 
 class StepEquations(eqx.Module):
@@ -123,7 +117,8 @@ class StepEquations(eqx.Module):
             rate[:, :3],
             rate[:, 3:],
         )
-        return motion, acceleration, increment
+        # the barrier keeps XLA from evaluating all this anew in every kernel that reads it
+        return lax.optimization_barrier((motion, acceleration, increment))
 
     def _balance(self, x, motion, acceleration, increment, contact_force):
         """Scaled residual, the ends imposed; `contact_force` on the nodes or None."""
@@ -151,7 +146,7 @@ class StepEquations(eqx.Module):
         push = None
         if self.nearby is not None:
             assert self.scene.contact is not None
-            push = contact.forces(
+            push = contact_forces.forces(
                 self.scene.contact, self.scene.rod, *self.nearby, motion.position, motion.velocity
             )
         return self._balance(x, motion, acceleration, increment, push)
@@ -169,48 +164,21 @@ class StepEquations(eqx.Module):
         """Derivative of the residual by the increments that `lift` takes."""
         motion, acceleration, increment = self.motion(x)
         blocks = self._blocks(x, motion, acceleration, increment)
-        return CoupledSystem(blocks, self._coupling(motion))
+        return CoupledSystem(blocks, self._contact(motion)[1])
 
     def newton_increment(self, x):
         """Newton's increment, contact forces and their derivative evaluated once."""
         motion, acceleration, increment = self.motion(x)
         blocks = self._blocks(x, motion, acceleration, increment)
-        residual = self._balance(x, motion, acceleration, increment, None)
-        coupling = self._coupling(motion)
-        if coupling is None:
-            return blocks.solve(-residual)
+        push, coupling = self._contact(motion)
+        residual = self._balance(x, motion, acceleration, increment, push)
+        return CoupledSystem(blocks, coupling).solve(-residual)
 
-        def some(size):
-            def branch(b, factors):
-                force, derivative = coupling.evaluate(size)
-                b = b + coupling.enter(size, force) / self.scales.force
-                return solve_coupled(factors, coupling, size, derivative, b)
-
-            return branch
-
-        none = lambda b: blocks.solve(b)  # noqa: PLW0108 (cond hashes a bound method)
-        return coupled_or_not(blocks, coupling, none, some, -residual)
-
-    def _coupling(self, motion) -> Coupling | None:
-        if self.nearby is None or self.scene.contact is None:
-            return None
-        where, active = self.nearby
-        dtype = motion.position.dtype
-        eye = jnp.zeros((9, 3), dtype).at[3:6].set(jnp.eye(3, dtype=dtype))
-        left = jnp.broadcast_to(eye, (motion.position.shape[0], 9, 3))
-        for index, projector in zip((0, -1), projectors(self.scene, self.state.time), strict=True):
-            left = left.at[index, 3:].add(-projector[:, :3])
-        return Coupling(
-            self.scene.contact,
-            where,
-            active,
-            contact.interpolate(where, motion.position),
-            contact.interpolate(where, motion.velocity),
-            self.coefficients.by_velocity,
-            self.scales.length / self.scales.force,
-            left=left,
-            right=jnp.broadcast_to(jnp.roll(eye, -3, axis=0), left.shape),
-        )
+    def _contact(self, motion) -> tuple[Array | None, Coupling | None]:
+        """Contact forces on the nodes [N], and their derivative in the Newton system."""
+        both = tuple(projectors(self.scene, self.state.time))
+        by_velocity = self.coefficients.by_velocity
+        return couple(self.scene, self.nearby, motion, by_velocity, both, self.scales)
 
     def lift(self, x, dx):
         """Increment of x for solved increments, whose rotations are body spins."""
@@ -224,7 +192,7 @@ class StepEquations(eqx.Module):
         if self.nearby is None or self.scene.contact is None:
             return jnp.ones((), x.dtype)
         position = self.state.position + self.increment(x)[:, :3]
-        return contact.approach_limit(
+        return screening.approach_limit(
             self.scene.contact, *self.nearby, position, dx[:, :3] * self.scales.length
         )
 
@@ -232,7 +200,7 @@ class StepEquations(eqx.Module):
         """The guess x with its increment scaled down where strands would close too much."""
         full = self.increment(x)
         assert self.scene.contact is not None and self.nearby is not None
-        scale = contact.approach_limit(
+        scale = screening.approach_limit(
             self.scene.contact, *self.nearby, self.state.position, full[:, :3]
         )
         change = (scale - 1) * full
@@ -269,21 +237,11 @@ def nodal_balance(scene: Scene, motion: NodeMotion, acceleration, force):
     """`free_balance` less the contact forces, by a search of its own."""
     wrench, constraint = free_balance(scene, motion, acceleration, force)
     if scene.contact is not None:
-        pushed = contact.report(
-            scene.contact, scene.rod, motion.position, motion.quaternion, motion.velocity
+        pushed = contact_forces.report(
+            scene.contact, scene.rod, motion.position, motion.velocity
         ).force
         wrench = wrench.at[:, :3].add(-pushed)
     return wrench, constraint
-
-
-def find_nearby(scene: Scene, motion: NodeMotion, displacement) -> Nearby:
-    """Search for contact before a step of the expected displacement; tangents of `motion`."""
-    assert scene.contact is not None
-    where = contact.sites(scene.contact, scene.rod)
-    active = contact.search(
-        scene.contact, scene.rod, where, motion.position, motion.quaternion, displacement
-    )
-    return Nearby(where, active)
 
 
 def node_tangent(scene, motion, acceleration, turn, by_velocity, by_acceleration):
@@ -335,25 +293,50 @@ def step(
     `StepInfo.result`, never raised.
     """
     method = GeneralizedAlpha() if method is None else method
-    loss = jnp.zeros((), state.position.dtype)
-    radius, settling = method.spectral_radius, None
-    if scene.switch_times:
-        state = prepare(scene, state)
-        left = state.settling
-        assert left is not None
-        switches = jnp.any(jnp.stack([t == state.time for t in scene.switch_times]))
-        state, loss = lax.cond(switches, lambda s: restart(scene, s), lambda s: (s, loss), state)
-        settling = jnp.where(switches, SETTLING_STEPS, left)
+    state = prepare(scene, state)
+    if not scene.switch_times:
+        return advance_to(scene, state, stop, method)
+    state, loss = lax.cond(
+        switching(scene, state),
+        lambda s: begin_constraint(scene, s, restart),
+        lambda s: (s, jnp.zeros_like(s.time)),
+        state,
+    )
+    state, info = advance_to(scene, state, stop, method)
+    return state, info._replace(projection_loss=loss)
+
+
+def switching(scene: Scene, state: State) -> Bool[Array, ""]:
+    """Whether a constraint changes at the state's time."""
+    return jnp.any(jnp.stack([t == state.time for t in scene.switch_times]))
+
+
+def begin_constraint(scene: Scene, state: State, restart) -> tuple[State, Float[Array, ""]]:
+    """The state made consistent with a constraint that begins, to be settled, and the loss [J]."""
+    bare, loss = restart(scene, dataclasses.replace(state, settling=None, jerk=None))
+    settling = jnp.asarray(SETTLING_STEPS, jnp.int32)
+    # settling damps what the jerk of a start is there to avoid
+    jerk = None if state.jerk is None else jnp.zeros_like(state.jerk)
+    return dataclasses.replace(bare, settling=settling, jerk=jerk), loss
+
+
+def advance_to(
+    scene: Scene, state: State, stop: Float[Array, ""], method: GeneralizedAlpha
+) -> tuple[State, StepInfo]:
+    """`step` from a state that is consistent with its constraints."""
+    settling, radius = state.settling, method.spectral_radius
+    if settling is not None:
         radius = jnp.where(settling > 0, 0.0, radius)
+    if state.jerk is not None:
+        c = coefficients(radius, stop - state.time)
+        rate, auxiliary = opening(c, state.rate, state.auxiliary, state.jerk)
+        jerk = jnp.zeros_like(state.jerk)
+        state = dataclasses.replace(state, rate=rate, auxiliary=auxiliary, jerk=jerk)
     equations = StepEquations(scene, state, stop, radius)
     guess = equations.guess()
     if scene.contact is not None:
-        # tangents for the apertures: predicted, which keeps second order without coupling
-        # rotations into the contact forces
-        expected = equations.increment(guess)
-        turned = rotations.multiply(state.quaternion, rotations.exponential(expected[:, 3:]))
-        motion = NodeMotion(stop, state.position, turned, state.velocity, state.angular_velocity)
-        nearby = find_nearby(scene, motion, expected[:, :3])
+        expected = equations.increment(guess)[:, :3]
+        nearby = find_nearby(scene, state.position, expected)
         equations = StepEquations(scene, state, stop, radius, nearby)
         guess = equations.limited(guess)
     tolerance = method.newton_tolerance(state.position.dtype)
@@ -373,19 +356,19 @@ def step(
         auxiliary,
         equations.force(x),
         None if settling is None else jnp.maximum(settling - 1, 0).astype(jnp.int32),
+        state.jerk,
     )
     error = local_error(c, state.auxiliary, auxiliary)
     largest = lambda v: jnp.sqrt(jnp.max(jnp.sum(lax.stop_gradient(v) ** 2, 1)))
     contact_code = jnp.asarray(Result.SUCCESS, jnp.int32)
     if scene.contact is not None:
         assert equations.nearby is not None
-        passed = contact.passage_suspected(
-            scene.contact, *equations.nearby, state.position, new.position
+        passed = screening.passage_suspected(
+            scene.contact, equations.nearby.where, state.position, new.position
         )
-        overflow = equations.nearby.active.overflow > 0
         contact_code = join(
             jnp.where(passed, Result.STRAND_PASSAGE, Result.SUCCESS),
-            jnp.where(overflow, Result.CAPACITY_OVERFLOW, Result.SUCCESS),
+            jnp.where(equations.nearby.near.overflow, Result.CAPACITY_OVERFLOW, Result.SUCCESS),
         )
     info = StepInfo(
         result=join(
@@ -402,7 +385,7 @@ def step(
         growth_position=largest(increment[:, :3]),
         growth_bending=largest(increment[:, 3:5]),
         growth_twisting=largest(increment[:, 5:]),
-        projection_loss=loss,
+        projection_loss=jnp.zeros_like(state.time),
         settling=jnp.asarray(False) if settling is None else settling > 0,
     )
     return new, info

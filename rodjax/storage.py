@@ -48,8 +48,8 @@ class Stored(eqx.Module):
 
     scene: Scene
     run: Run
-    method: GeneralizedAlpha
-    control: StepControl
+    method: GeneralizedAlpha | None  # None: not told to `save`, the default is used
+    control: StepControl | None
     measures: dict[str, Any] | None
     schedule: Float[Array, " k"] | None
     units: Units = eqx.field(static=True)

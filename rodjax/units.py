@@ -86,6 +86,7 @@ _TEMPLATES = {
     "State.curvature": "rad/{length}",
     "State.acceleration": "{length}/{time}^2 and rad/{time}^2",
     "State.auxiliary": "{length}/{time}^2 and rad/{time}^2",
+    "State.jerk": "{length}/{time}^3 and rad/{time}^3",
     "State.force": "{force}",
     "State.settling": "1",
     "Stored.schedule": "{time}",

@@ -8,17 +8,19 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from rodjax import contact as ct
+from rodjax import contact as contact_of
+from rodjax import contact_forces as forces_of
 from rodjax import contact_laws as laws
+from rodjax import screening
 from rodjax.consistency import start
 from rodjax.contact import Contact
 from rodjax.contact_laws import PairProperties
+from rodjax.coupled import find_nearby
 from rodjax.ends import Clamped
-from rodjax.loads import NodeMotion
 from rodjax.results import Result
 from rodjax.rod import circular_section, curved_rod, straight_rod
 from rodjax.scene import Scene
-from rodjax.step import StepEquations, find_nearby, step
+from rodjax.step import StepEquations, step
 
 DIAMETER = 0.02
 LAWS = {
@@ -52,15 +54,12 @@ def hairpin(elements=24, half_gap=0.04, tilt=0.003):
 @pytest.fixture(scope="module")
 def bent():
     """Hairpin scene, a moving state of it, and the points near each other."""
-    contact = Contact(LAWS["damped"], points=40, cutoff=0.1)
+    contact = Contact(LAWS["damped"], segments=20, cutoff=0.1, points_per_segment=2)
     scene = Scene(hairpin(), Clamped(), Clamped(), (), contact)
     state = start(scene)
     velocity = 0.1 * np.random.default_rng(0).normal(size=state.position.shape)
     state = dataclasses.replace(state, rate=state.rate.at[:, :3].set(velocity))
-    motion = NodeMotion(
-        state.time, state.position, state.quaternion, state.velocity, state.angular_velocity
-    )
-    return scene, state, find_nearby(scene, motion, 1e-3 * state.velocity)
+    return scene, state, find_nearby(scene, state.position, 1e-3 * state.velocity)
 
 
 PAIR = PairProperties(jnp.asarray(DIAMETER), jnp.asarray(0.5))
@@ -100,20 +99,51 @@ def test_barrier_acts_from_touching_on_and_lennard_jones_rests_at_its_minimum():
 
 def test_points_find_their_partners(bent):
     scene, _, near = bent
-    where, active = near
-    assert scene.contact is not None
-    assert 20 < int(active.count) < scene.contact.points
-    # the two legs face each other, the far side of the bend has no partner inside its aperture
-    chosen = np.asarray(active.order[: int(active.count)])
-    assert np.any(np.asarray(where.arc_length)[chosen] < 0.3)
-    assert np.any(np.asarray(where.arc_length)[chosen] > 0.7)
-    assert int(active.overflow) == 0
+    where, found = near
+    count = int(found.count)
+    assert 10 < count < 60 and not found.overflow
+    first, second = found.first[:count], found.second[:count]
+    assert np.all(np.asarray(first) < np.asarray(second))
+    # the two legs face each other
+    s = np.asarray(where.arc_length).mean(1)
+    assert np.all(np.abs(s[first] + s[second] - 1) < 0.25)
+    assert {2, 17} <= {int(j) for j in first} | {int(j) for j in second}
+    np.testing.assert_array_equal(found.rank[found.order], np.arange(21))
+
+
+def test_search_misses_no_pair_that_acts(bent):
+    """Every pair of points with a force, found by brute force, is in the list."""
+    scene, state, near = bent
+    where, found = near
+    joints = np.asarray(contact_of.interpolate(where, state.position))
+    part = (np.arange(2) + 0.5) / 2
+    points = joints[:-1, None] + part[:, None] * (joints[1:, None] - joints[:-1, None])
+    chord = joints[1:] - joints[:-1]
+    chord /= np.linalg.norm(chord, axis=1, keepdims=True)
+    listed = set(zip(*(np.asarray(x)[: int(found.count)].tolist() for x in found[:2]), strict=True))
+    acting = set()
+    for a in range(20):
+        for b in range(a + 1, 20):
+            r = points[b][None] - points[a][:, None]
+            d = np.linalg.norm(r, axis=-1)
+            cosines = [
+                np.sum(r * t, -1) / d
+                for t in (
+                    np.asarray(found.tangents[a])[:, None],
+                    np.asarray(found.tangents[b])[None],
+                )
+            ]
+            apart = np.abs(where.arc_length[b][None] - where.arc_length[a][:, None])
+            gate = forces_of.window(scene.contact, d, *cosines) * (apart >= scene.contact.excluded)
+            if np.any(gate > 0):
+                acting.add((a, b))
+    assert len(acting) > 5 and acting <= listed
 
 
 def test_straight_rod_has_no_contact_and_its_step_is_that_without():
     section = circular_section(DIAMETER, 1e6, 5e5, 1500.0)
     rod = straight_rod(1.0, 10, section, natural_curvature=(0.3, 0.0, 0.0))
-    contact = Contact(LAWS["damped"], points=40, cutoff=0.1)
+    contact = Contact(LAWS["damped"], segments=20, cutoff=0.1, points_per_segment=2)
     runs = [
         step(scene, start(scene), jnp.asarray(1e-2))[0]
         for scene in (Scene(rod, Clamped()), Scene(rod, Clamped(), contact=contact))
@@ -124,7 +154,7 @@ def test_straight_rod_has_no_contact_and_its_step_is_that_without():
 
 def test_forces_are_equal_and_opposite(bent):
     scene, state, near = bent
-    force = ct.forces(scene.contact, scene.rod, *near, state.position, state.velocity)
+    force = forces_of.forces(scene.contact, scene.rod, *near, state.position, state.velocity)
     scale = float(jnp.max(jnp.abs(force)))
     assert scale > 0
     np.testing.assert_allclose(jnp.sum(force, 0), 0.0, atol=1e-12 * scale)
@@ -132,12 +162,13 @@ def test_forces_are_equal_and_opposite(bent):
 
 def test_central_forces_make_no_torque():
     scene = Scene(
-        hairpin(), Clamped(), Clamped(), contact=Contact(LAWS["damped"], points=40, cutoff=0.1)
+        hairpin(),
+        Clamped(),
+        Clamped(),
+        contact=Contact(LAWS["damped"], segments=20, cutoff=0.1, points_per_segment=2),
     )
     state = start(scene)
-    push = ct.report(
-        scene.contact, scene.rod, state.position, state.quaternion, state.velocity
-    ).force
+    push = forces_of.report(scene.contact, scene.rod, state.position, state.velocity).force
     torque = jnp.sum(jnp.cross(state.position, push), 0)
     np.testing.assert_allclose(torque, 0.0, atol=1e-12 * float(jnp.max(jnp.abs(push))))
 
@@ -166,30 +197,29 @@ def test_ripple_of_the_force_is_under_two_percent(name):
     """Sliding one strand along the other by one spacing barely changes the force.
 
     Two parallel strands at a distance d feel sum_j psi(d_j) window n_j per point; its ripple with
-    the phase between the points is that of the documented spacing h = min(sqrt(2 d w)/2, d/8).
+    the phase between the points is that of the documented spacing h = min(sqrt(2 d w)/2, d/3).
     """
     law = LAWS[name]
     d = {"damped": 0.58 * DIAMETER, "debye_hueckel": DIAMETER, "lennard_jones": 0.026}[name]
     psi = lambda r: laws.continued(law, r, jnp.asarray(0.0), PAIR)
     width = float(psi(jnp.asarray(d)) / abs(jax.grad(psi)(jnp.asarray(d))))
-    spacing = min(0.5 * np.sqrt(2 * d * width), d / 8)
-    contact = Contact(law, points=2, cutoff=6 * DIAMETER)
+    spacing = min(0.5 * np.sqrt(2 * d * width), d / 3)
+    contact = Contact(law, 2, cutoff=6 * DIAMETER)
     phase = spacing * np.linspace(0, 1, 17)[:, None] + spacing * np.arange(-40, 41)
     r = jnp.asarray(np.sqrt(d**2 + phase**2))
     cosine = jnp.asarray(phase) / r
-    density = jax.vmap(jax.vmap(psi))(r) * ct.window(contact, r, cosine, cosine)
+    density = jax.vmap(jax.vmap(psi))(r) * forces_of.window(contact, r, cosine, cosine)
     force = np.sum(density * d / r, 1) * spacing
     assert np.ptp(force) < 0.02 * np.mean(force)
 
 
-def test_force_does_not_depend_on_the_spacing_of_the_points():
+def test_force_does_not_depend_on_the_division():
     totals = []
-    for points in (160, 320):
-        scene = Scene(hairpin(96), contact=Contact(LAWS["damped"], points=points, cutoff=0.1))
+    for segments, points in ((48, 4), (96, 2), (96, 6)):
+        contact = Contact(LAWS["damped"], segments, 0.1, points_per_segment=points)
+        scene = Scene(hairpin(96), contact=contact)
         state = start(scene)
-        found = ct.report(
-            scene.contact, scene.rod, state.position, state.quaternion, state.velocity
-        )
+        found = forces_of.report(scene.contact, scene.rod, state.position, state.velocity)
         totals.append(float(found.total))
     assert totals[0] > 0
     np.testing.assert_allclose(totals, totals[0], rtol=0.01)
@@ -198,22 +228,38 @@ def test_force_does_not_depend_on_the_spacing_of_the_points():
 def test_capacity_overflow_is_reported(bent):
     scene, state, _ = bent
     small = eqx.tree_at(
-        lambda s: s.contact, scene, Contact(LAWS["damped"], 40, 0.1, capacities=(4,))
+        lambda s: s.contact, scene, Contact(LAWS["damped"], 20, 0.1, capacities=(4,))
     )
     _, info = step(small, state, jnp.asarray(1e-3))
     assert int(info.result) == Result.CAPACITY_OVERFLOW
+
+
+def test_every_size_of_solver_gives_the_same_increment(bent):
+    scene, state, near = bent
+    found = []
+    apart = dataclasses.replace(scene.contact, exclusion=jnp.asarray(0.45))
+    for sizes in ((21,), (4, 18, 21)):
+        contact = dataclasses.replace(apart, capacities=sizes)
+        same = eqx.tree_at(lambda s: s.contact, scene, contact)
+        near = find_nearby(same, state.position, 1e-3 * state.velocity)
+        assert int(near.near.level) == len(sizes) - (len(sizes) > 1)
+        equations = StepEquations(same, state, jnp.asarray(1e-3), jnp.asarray(0.8), near)
+        found.append(equations.newton_increment(equations.guess()))
+    np.testing.assert_allclose(found[1], found[0], atol=1e-12)
 
 
 def test_limit_keeps_strands_apart(bent):
     scene, state, near = bent
     # one leg moved right through the other
     change = jnp.zeros_like(state.position).at[:10, 0].set(0.2)
-    limit = ct.approach_limit(scene.contact, *near, state.position, change)
+    limit = screening.approach_limit(scene.contact, *near, state.position, change)
     assert 0 < limit < 0.5
-    assert ct.approach_limit(scene.contact, *near, state.position, -change) == 1
+    assert screening.approach_limit(scene.contact, *near, state.position, -change) == 1
     moved = state.position + change
-    assert ct.passage_suspected(scene.contact, *near, state.position, moved)
-    assert not ct.passage_suspected(scene.contact, *near, state.position, state.position)
+    assert screening.passage_suspected(scene.contact, near.where, state.position, moved)
+    assert not screening.passage_suspected(
+        scene.contact, near.where, state.position, state.position
+    )
 
 
 def test_gradient_through_a_step_in_contact(bent):
@@ -239,22 +285,23 @@ def test_gradient_through_a_step_in_contact(bent):
         ({"cutoff": -1.0}, "cutoff"),
         ({"cutoff": 0.1, "aperture": 4.0}, "aperture"),
         ({"cutoff": 0.1, "exclusion": 0.05}, "cutoff"),
-        ({"cutoff": 0.1, "points": 1}, "points"),
+        ({"cutoff": 0.1, "segments": 1}, "segments"),
+        ({"cutoff": 0.1, "points_per_segment": 0}, "points_per_segment"),
         ({"cutoff": 0.1, "edge": 0.0}, "edge"),
         ({"cutoff": 0.1, "capacities": (8, 4)}, "capacities"),
     ],
 )
 def test_bad_input_names_the_argument(arguments, name):
     with pytest.raises(ValueError, match=f"^{name}"):
-        Contact(LAWS["damped"], **({"points": 40} | arguments))
+        Contact(LAWS["damped"], **({"segments": 20} | arguments))
 
 
 def test_contact_needs_a_diameter_and_room():
     rod = hairpin()
     bare = dataclasses.replace(rod, diameter=None)
     with pytest.raises(ValueError, match="^diameter"):
-        Scene(bare, contact=Contact(LAWS["damped"], points=40, cutoff=0.1))
+        Scene(bare, contact=Contact(LAWS["damped"], segments=20, cutoff=0.1, points_per_segment=2))
     with pytest.raises(ValueError, match="^exclusion"):
-        Scene(rod, contact=Contact(LAWS["damped"], points=40, cutoff=0.9))
+        Scene(rod, contact=Contact(LAWS["damped"], 20, cutoff=0.9))
     with pytest.raises(ValueError, match="^k1"):
         laws.DampedInversePower(k1=-1.0)

@@ -364,7 +364,7 @@ def hairpin():
         lambda s: (s.diameter, s.rotary_inertia), UNIT_SECTION, (0.02, (0.02, 0.02, 0.02))
     )
     law = contact_laws.InversePower(1e-2, 2.0)
-    touching = contact.Contact(law, 24, 0.15, exclusion=0.3, capacities=(24,))
+    touching = contact.Contact(law, 24, 0.15, exclusion=0.3, capacities=(25,))
     a_rod = rod.curved_rod(curve, length, 24, section)
     return Scene(a_rod, Clamped(), Clamped(), (LinearDrag(20.0, 20.0, 0.1),), touching)
 

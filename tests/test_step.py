@@ -128,17 +128,13 @@ def momenta(scene, state):
     return np.asarray(jnp.sum(linear, 0)), np.asarray(jnp.sum(angular, 0)), np.asarray(centre)
 
 
-@pytest.mark.xfail(
-    reason="one of these steps reports a failure at the tolerance 1e-12 (the default is 1e-10);"
-    " not yet understood",
-    strict=False,
-)
 def test_free_flight_conserves_momentum(tumbling):
     scene, state = tumbling
     linear, angular, centre = momenta(scene, state)
     assert np.linalg.norm(angular) > 0.05
     errors = []
-    for count in (50, 100, 200):
+    # 50 steps do not resolve the waves of the release, whose energy then grows at this radius
+    for count in (100, 200, 400):
         final = final_state(scene, state, 1.0, count, PRECISE)
         assert stretch_error(scene, final) < 1e-12
         now = momenta(scene, final)
@@ -443,11 +439,6 @@ def in_si():
     return rollout(scene, state, times, PRECISE), adaptive_rollout(scene, state, 0.3, PRECISE)
 
 
-@pytest.mark.xfail(
-    reason="one of the comparisons fails since the step control measures errors against the size"
-    " of the deformation; not yet understood",
-    strict=False,
-)
 @pytest.mark.parametrize("units", UNITS.values(), ids=UNITS)
 def test_units_are_free(in_si, units):
     length, force, duration = units

@@ -28,12 +28,6 @@ from rodjax.units import Units
 CHUNK = 8
 END = 1.0
 AXIS = (0.0, 0.0, 1.0)
-pytestmark = pytest.mark.xfail(
-    reason="some of these fail since defaults became None and states count settling steps;"
-    " not yet diagnosed",
-    strict=False,
-)
-
 METHOD = GeneralizedAlpha(0.7)
 CONTROL = StepControl(absolute=1e-4)
 

@@ -1,0 +1,319 @@
+"""What a Newton iteration, a step and their compilation cost, beside SciPy's banded solver.
+
+    python experiments/speed.py [--elements N ...] [--repeats K] [--quick] [--out DIR]
+
+Writes DIR/summary.json and DIR/speed.png. Every timing is the median of interleaved repeats, and
+its ratio to a yardstick of the same repeat is given, so that a busy machine shifts both.
+"""
+
+import argparse
+import importlib.metadata
+import json
+import platform
+import resource
+import time
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import jax
+
+jax.config.update("jax_enable_x64", True)
+jax.config.update("jax_enable_compilation_cache", False)
+
+import equinox as eqx  # noqa: E402
+import jax.numpy as jnp  # noqa: E402
+import matplotlib.pyplot as plt  # noqa: E402
+import numpy as np  # noqa: E402
+import scipy.linalg  # noqa: E402
+from example import PRESETS, contact_law, scene  # noqa: E402
+
+from rodjax import consistency, simulate  # noqa: E402
+from rodjax.block_tridiagonal import BlockTridiagonal  # noqa: E402
+from rodjax.coupled import find_nearby  # noqa: E402
+from rodjax.ends import Clamped  # noqa: E402
+from rodjax.loads import MorisonDrag  # noqa: E402
+from rodjax.rod import circular_section, curved_rod, straight_rod  # noqa: E402
+from rodjax.scene import Scene  # noqa: E402
+from rodjax.step import StepEquations, step  # noqa: E402
+
+STEP = 0.05  # [s], about what the example takes while it intertwines
+
+
+def arguments(argv=None) -> argparse.Namespace:
+    """Options of the command line."""
+    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser.add_argument("--elements", type=int, nargs="+", metavar="N")
+    parser.add_argument("--repeats", type=int, metavar="K", help="default 15 (3 with --quick)")
+    parser.add_argument("--quick", action="store_true", help="one small grid, to try it out")
+    parser.add_argument("--out", type=Path, default=Path("results/speed"), metavar="DIR")
+    options = parser.parse_args(argv)
+    options.elements = options.elements or ([40] if options.quick else [100, 200, 400, 1000, 3200])
+    options.repeats = options.repeats or (3 if options.quick else 15)
+    return options
+
+
+def plectoneme(elements: int, contact: bool) -> Scene:
+    """Two strands 6 mm apart wound twice around each other and closed by a loop, at rest so.
+
+    Drag, contact law and section are those of the example's `timeline`.
+    """
+    radius, turns = 3e-3, 2.0
+    z = np.linspace(0, 1, 20001)
+    wound = 2 * np.pi * turns * 0.5 * (1 - np.cos(np.pi * z))
+    height = 0.49
+
+    def leg(height):
+        return np.stack([radius * np.cos(wound), radius * np.sin(wound), height * z], 1)
+
+    length = lambda curve: np.sum(np.linalg.norm(np.diff(curve, axis=0), axis=1))
+    for _ in range(20):  # fixed point: the whole curve is 1 m long
+        height *= 0.5 * (1 - np.pi * radius) / length(leg(height))
+    up = leg(height)
+    angle = np.linspace(0, np.pi, 1001)[1:, None]
+    outward = up[-1] * np.array([1.0, 1.0, 0.0])
+    ahead = np.array([0.0, 0.0, radius])
+    over = np.cos(angle) * outward + np.sin(angle) * ahead + np.array([0, 0, height])
+    down = (up * np.array([-1.0, -1.0, 1.0]))[::-1][1:]
+    points = np.concatenate([up, over, down])
+    arc = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
+    curve = lambda s: np.array([np.interp(s, arc, points[:, k]) for k in range(3)])
+    preset = PRESETS["timeline"]
+    section = circular_section(preset.diameter, 1.25e7, 5e6, 1500.0)
+    rod = curved_rod(curve, 1.0, elements, section)
+    return Scene(
+        rod,
+        Clamped(),
+        Clamped(),
+        (MorisonDrag(1000.0, 0.1, 0.01),),
+        contact_law(preset) if contact else None,
+    )
+
+
+def interleaved(jobs: dict[str, Any], repeats: int) -> dict[str, np.ndarray]:
+    """Seconds of every job, called in turn `repeats` times after a first call."""
+    for job in jobs.values():
+        job()
+    seconds: dict[str, list[float]] = {name: [] for name in jobs}
+    for _ in range(repeats):
+        for name, job in jobs.items():
+            began = time.perf_counter()
+            job()
+            seconds[name].append(time.perf_counter() - began)
+    return {name: np.array(values) for name, values in seconds.items()}
+
+
+def banded(blocks: BlockTridiagonal) -> tuple[tuple[int, int], np.ndarray]:
+    """The matrix in the diagonal ordered form of `scipy.linalg.solve_banded`, tight bandwidth."""
+    lower, diagonal, upper = (np.asarray(x) for x in (blocks.lower, blocks.diagonal, blocks.upper))
+    n, b, _ = diagonal.shape
+    rows, columns, values = [], [], []
+    local_row, local_column = np.meshgrid(np.arange(b), np.arange(b), indexing="ij")
+    for shift, part in ((-1, lower[1:]), (0, diagonal), (1, upper[:-1])):
+        node = np.arange(max(-shift, 0), n - max(shift, 0))[:, None, None]
+        rows.append((b * node + local_row).ravel())
+        columns.append((b * (node + shift) + local_column).ravel())
+        values.append(part.ravel())
+    row, column, value = (np.concatenate(x) for x in (rows, columns, values))
+    row, column, value = (x[value != 0] for x in (row, column, value))
+    below, above = int(np.max(row - column)), int(np.max(column - row))
+    band = np.zeros((below + above + 1, n * b))
+    band[above + row - column, column] = value
+    return (below, above), band
+
+
+def iteration_costs(elements: int, contact: bool, repeats: int) -> dict[str, Any]:
+    """Seconds of the parts of one Newton iteration, and of the banded solve of its matrix."""
+    whole = plectoneme(elements, contact)
+    state = consistency.start(whole)
+    expected = 1e-3 * jnp.ones_like(state.velocity)
+    nearby = None
+    if contact:
+        search = eqx.filter_jit(lambda scene, s: find_nearby(scene, s.position, expected))
+        nearby = search(whole, state)
+    radius = jnp.asarray(0.5)
+    equations = StepEquations(whole, state, state.time + STEP, radius, nearby)
+    x = equations.guess()
+    matrix = eqx.filter_jit(lambda e, x: e.linearize(x).blocks)
+    blocks = matrix(equations, x)
+    b = jnp.ones_like(x)
+    bandwidth, band = banded(blocks)
+    right = np.asarray(b).ravel()
+    compiled = {
+        "residual": (eqx.filter_jit(lambda e, x: e.residual(x)), equations, x),
+        "jacobian": (matrix, equations, x),
+        "block_solve": (eqx.filter_jit(lambda a, b: a.solve(b)), blocks, b),
+        "iteration": (eqx.filter_jit(lambda e, x: e.newton_increment(x)), equations, x),
+    }
+    if contact:
+        compiled["search"] = (search, whole, state)
+    jobs = {
+        name: lambda f=f, rest=rest: jax.block_until_ready(f(*rest))
+        for name, (f, *rest) in compiled.items()
+    }
+    jobs["banded_solve"] = lambda: scipy.linalg.solve_banded(bandwidth, band, right)
+    solution = np.asarray(compiled["block_solve"][0](blocks, b)).ravel()
+    reference = jobs["banded_solve"]()
+    difference = float(np.max(np.abs(solution - reference)) / np.max(np.abs(reference)))
+    seconds = interleaved(jobs, repeats)
+    found: dict[str, Any] = {name: float(np.median(s)) for name, s in seconds.items()}
+    yardstick = seconds["banded_solve"]
+    for name in ("block_solve", "iteration"):
+        found[f"{name}_over_banded"] = float(np.median(seconds[name] / yardstick))
+    found |= {"bandwidth": bandwidth, "solve_difference": difference}
+    if nearby is not None:
+        found |= {"pairs": int(nearby.near.count), "joints": int(jnp.sum(nearby.near.rank >= 0))}
+        found["level"] = int(nearby.near.level)
+    return found
+
+
+class Rung(NamedTuple):
+    """A scene of the ladder of what a scene can need."""
+
+    name: str
+    scene: Scene
+
+
+def ladder(elements: int) -> list[Rung]:
+    """From a clamped straight rod without anything to the full example."""
+    preset = PRESETS["timeline"]
+    whole = scene(preset, elements)
+    section = circular_section(preset.diameter, 1.25e7, 5e6, 1500.0)
+    bare = straight_rod(1.0, elements, section, direction=(0.0, 1.0, 0.0))
+    no_rotary = eqx.tree_at(
+        lambda r: r.rotary_inertia, bare, None, is_leaf=lambda leaf: leaf is None
+    )
+    return [
+        Rung("clamped-free rod, no rotary inertia", Scene(no_rotary, Clamped())),
+        Rung("with rotary inertia", Scene(bare, Clamped())),
+        Rung("with drag", Scene(bare, Clamped(), loads=whole.loads)),
+        Rung("with drive, slider and neck", scene(preset, elements, contact=False)),
+        Rung("with contact", whole),
+    ]
+
+
+def compile_costs(rung: Rung, repeats: int) -> dict[str, Any]:
+    """Traced operations, seconds to trace and to compile step and rollouts, seconds of a step."""
+    found: dict[str, Any] = {"scene": rung.name}
+    jax.clear_caches()
+    began = time.perf_counter()
+    state = simulate.prepare(rung.scene, consistency.start(rung.scene))
+    found["start_seconds"] = time.perf_counter() - began
+    stop = jnp.asarray(STEP)
+
+    def compile_it(name, function, *rest):
+        began = time.perf_counter()
+        lowered = eqx.filter_jit(function).lower(*rest)
+        traced = time.perf_counter()
+        program = lowered.compile()
+        found[f"{name}_trace_seconds"] = traced - began
+        found[f"{name}_compile_seconds"] = time.perf_counter() - traced
+        found[f"{name}_operations"] = lowered.as_text().count(" = ")
+        return program
+
+    program = compile_it("step", step, rung.scene, state, stop)
+    times = STEP * jnp.arange(1.0, 11.0)
+    compile_it(
+        "rollout", lambda s, x, t: simulate.rollout(s, x, t, throw=False), rung.scene, state, times
+    )
+    began = time.perf_counter()
+    simulate.compile_adaptive_rollout(rung.scene, state)
+    found["adaptive_seconds"] = time.perf_counter() - began
+    run = lambda: jax.block_until_ready(program(rung.scene, state, stop))
+    found["step_seconds"] = float(np.median(interleaved({"step": run}, repeats)["step"]))
+    return found
+
+
+def slope(elements, seconds) -> float:
+    """Exponent of a power law fitted to costs."""
+    return float(np.polyfit(np.log(elements), np.log(seconds), 1)[0])
+
+
+def draw(rows: dict[str, dict[int, dict]], out: Path) -> None:
+    """Costs of an iteration against the number of elements."""
+    figure, both = plt.subplots(1, 2, figsize=(10, 4), sharey=True, layout="constrained")
+    for axes, (title, found) in zip(both, rows.items(), strict=True):
+        n = list(found)
+        for name in ("iteration", "block_solve", "jacobian", "residual", "search", "banded_solve"):
+            if name in found[n[0]]:
+                style = "k--" if name == "banded_solve" else "o-"
+                label = "SciPy's banded solve" if name == "banded_solve" else name.replace("_", " ")
+                axes.loglog(n, [1e3 * found[k][name] for k in n], style, label=label, ms=4)
+        axes.set(title=title.replace("_", " "), xlabel="elements")
+        axes.grid(which="both", alpha=0.3)
+    both[0].set_ylabel("median time [ms]")
+    both[1].legend()
+    figure.savefig(out / "speed.png", dpi=150)
+
+
+def main(argv=None) -> None:
+    """Measure, print, draw and write."""
+    options = arguments(argv)
+    options.out.mkdir(parents=True, exist_ok=True)
+    rows: dict[str, dict[int, dict]] = {"without_contact": {}, "plectoneme_in_contact": {}}
+    print(
+        f"{'elements':>8} {'contact':>8} {'residual':>9} {'jacobian':>9} {'solve':>9} {'SciPy':>9}"
+        f" {'iteration':>9} {'solve/SciPy':>11} {'it./SciPy':>9}   [ms]"
+    )
+    for elements in options.elements:
+        for title, contact in zip(rows, (False, True), strict=True):
+            found = iteration_costs(elements, contact, options.repeats)
+            rows[title][elements] = found
+            parts = ("residual", "jacobian", "block_solve", "banded_solve", "iteration")
+            times = " ".join(f"{1e3 * found[part]:9.3f}" for part in parts)
+            note = (
+                f"   {found['pairs']} pairs, search {1e3 * found['search']:.2f}" if contact else ""
+            )
+            print(
+                f"{elements:8d} {contact!s:>8} {times} {found['block_solve_over_banded']:11.2f}"
+                f" {found['iteration_over_banded']:9.2f}{note}",
+                flush=True,
+            )
+            jax.clear_caches()
+    slopes = {}
+    for title, found in rows.items():
+        large = [n for n in found if n >= 400]
+        if len(large) > 1:
+            slopes[title] = slope(large, [found[n]["iteration"] for n in large])
+            print(
+                f"{title.replace('_', ' ')}: cost of an iteration grows as elements to the power"
+                f" {slopes[title]:.2f} from {large[0]} to {large[-1]}"
+            )
+    rungs = ladder(40 if options.quick else 200)
+    compiled = []
+    print(
+        f"\n{'scene':36} {'operations':>10} {'trace':>6} {'compile':>8} {'rollout':>8}"
+        f" {'adaptive':>8} {'start':>6} [s] {'step':>8} [ms]"
+    )
+    for rung in rungs[:1] + rungs[-1:] if options.quick else rungs:
+        found = compile_costs(rung, options.repeats)
+        compiled.append(found)
+        rollout = found["rollout_trace_seconds"] + found["rollout_compile_seconds"]
+        print(
+            f"{rung.name:36} {found['step_operations']:10d} {found['step_trace_seconds']:6.2f}"
+            f" {found['step_compile_seconds']:8.2f} {rollout:8.2f} {found['adaptive_seconds']:8.2f}"
+            f" {found['start_seconds']:6.2f}     {1e3 * found['step_seconds']:8.3f}",
+            flush=True,
+        )
+    per_mebibyte = 2**20 if platform.system() == "Darwin" else 2**10
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / per_mebibyte
+    print(f"\npeak resident memory of the process: {peak:.0f} MiB")
+    draw(rows, options.out)
+    summary = {
+        "machine": {
+            "processor": platform.processor() or platform.machine(),
+            "devices": [str(device) for device in jax.devices()],
+            "versions": {
+                name: importlib.metadata.version(name) for name in ("jax", "scipy", "numpy")
+            },
+        },
+        "iteration_seconds": rows,
+        "slope": slopes,
+        "compilation": compiled,
+        "peak_resident_mebibytes": peak,
+    }
+    (options.out / "summary.json").write_text(json.dumps(summary, indent=2) + "\n")
+    print(f"results in {options.out}")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,242 @@
+"""Contact forces: the law summed over the points of near pairs of segments, and its derivative."""
+
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jax import lax
+from jaxtyping import Array, Float
+
+from rodjax.contact import Contact, Sites, interpolate, sites, spread
+from rodjax.contact_laws import PairProperties, continued
+from rodjax.rod import Rod
+from rodjax.screening import BLOCK, Near, search
+
+
+def _smooth_step(x):
+    """0 below 0, 1 above 1, C2 between."""
+    x = jnp.clip(x, 0.0, 1.0)
+    return x**3 * (10 - 15 * x + 6 * x**2)
+
+
+def window(contact: Contact, distance, cosine_a, cosine_b):
+    """Smooth gate of a pair of points: near enough, and inside both apertures.
+
+    `cosine` is n.t, n the unit vector between the points, t the chord at either; inside means
+    |n.t| <= sin(theta/2). It fades over the whole aperture: an edge would have to be resolved by
+    the points, at several times their number for the same ripple of the force.
+    """
+    close = _smooth_step((1 - distance / contact.cutoff) / contact.edge)
+    limit = jnp.sin(0.5 * contact.aperture) ** 2
+    inside = lambda c: _smooth_step(1 - c**2 / limit)
+    # theta = pi is all space: no gate
+    gate = jnp.where(limit > 1 - 1e-12, 1.0, inside(cosine_a) * inside(cosine_b))
+    return close * gate
+
+
+class PairForces(NamedTuple):
+    """Interaction of a list of pairs of segments; the joints are those of the first, then second.
+
+    Entries beyond `Near.count` are zero.
+    """
+
+    force: Float[Array, "q 4 3"]  # on the four joints of every pair [N]
+    derivative: Float[Array, "q 4 4 3 3"] | None  # of minus the force, joint by joint [N/m]
+    smallest: Float[Array, ""]  # least d/D of the points that act; infinite without one
+    total: Float[Array, ""]  # sum of the magnitudes of all forces between points [N]
+
+
+def joints_of(near: Near) -> tuple[Array, Array, Array, Array]:
+    """Indices of the four joints of every pair."""
+    return near.first, near.first + 1, near.second, near.second + 1
+
+
+@eqx.filter_custom_jvp
+def forces_and_derivative(
+    contact: Contact,
+    where: Sites,
+    near: Near,
+    joints: Float[Array, "j 3"],
+    velocities: Float[Array, "j 3"],
+    by_velocity: Float[Array, ""],
+) -> PairForces:
+    """`pair_forces` with the derivative, at a cost that follows the number of pairs in use."""
+    evaluate, rows = _blocks(contact, where, near, joints, velocities, by_velocity)
+    shapes = jax.eval_shape(evaluate, jax.tree.map(lambda leaf: leaf[0], rows))
+    force, derivative, ratio, total = jax.tree.map(
+        lambda leaf: jnp.zeros((rows[0].shape[0], *leaf.shape), leaf.dtype), shapes
+    )
+
+    def body(i, found):
+        now = evaluate(jax.tree.map(lambda leaf: leaf[i], rows))
+        return jax.tree.map(lambda buffer, value: buffer.at[i].set(value), found, now)
+
+    used = (near.count + BLOCK - 1) // BLOCK
+    found = lax.fori_loop(0, used, body, (force, derivative, ratio + jnp.inf, total))
+    return _joined(near, found)
+
+
+@forces_and_derivative.def_jvp
+def _forces_and_derivative_jvp(primals, tangents):
+    # a loop of unknown length has no reverse mode: derivatives take the scan
+    fixed = pair_forces
+    return forces_and_derivative(*primals), eqx.filter_jvp(fixed, primals, tangents)[1]
+
+
+def pair_forces(
+    contact: Contact,
+    where: Sites,
+    near: Near,
+    joints: Float[Array, "j 3"],
+    velocities: Float[Array, "j 3"],
+    by_velocity: Float[Array, ""] | None = None,
+) -> PairForces:
+    """Forces of all near pairs and, if `by_velocity` is given, their exact derivative.
+
+    With points a, b at x_a = sum_i u_i X_i on the chords, the force on b from a is P n,
+    P = psi(d, c) window h^2, n from a to b, t the unit vectors along the chords. Its derivative by
+    x_b - x_a, velocities following positions by the factor `by_velocity`, is
+        n g^T + (P/d)(I - n n^T),   g = (P_d - by_velocity P_c) n
+            + (-P_c (w - d' n) + P_a (t_a - (n.t_a) n) + P_b (t_b - (n.t_b) n)) / d
+    with w the relative velocity and P_a, P_b the derivatives by the cosines of the apertures; by
+    the chord l t_a it is n P_a (n - (n.t_a) t_a)^T / l. Blocks of the list that are not in use
+    are skipped.
+    """
+    evaluate, rows = _blocks(contact, where, near, joints, velocities, by_velocity)
+
+    def skip(row):
+        like = jax.eval_shape(evaluate, row)
+        empty = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), like)
+        return (*empty[:2], empty[2] + jnp.inf, empty[3])
+
+    block = lambda _, row: (None, lax.cond(row[0] < near.count, evaluate, skip, row))
+    return _joined(near, lax.scan(block, None, rows)[1])
+
+
+def _joined(near, found) -> PairForces:
+    """The blocks' results as those of the list."""
+    force, derivative, ratio, total = found
+    flat = lambda v: v.reshape(-1, *v.shape[2:])[: near.first.shape[0]]
+    derivative = None if derivative is None else flat(derivative)
+    return PairForces(flat(force), derivative, jnp.min(ratio), jnp.sum(total))
+
+
+def _blocks(contact, where, near, joints, velocities, by_velocity):
+    """What evaluates a block of pairs, and the blocks: their first places and joints."""
+    count = contact.points_per_segment
+    part = (jnp.arange(count) + 0.5) / count
+    one, other = jnp.broadcast_arrays(part[:, None], part[None, :])
+    # x_b - x_a = sum_i mix[a, b, i] X_i over the four joints
+    mix = jnp.stack([one - 1, -one, 1 - other, other], -1).astype(joints.dtype)
+    products = (mix[..., :, None] * mix[..., None, :]).reshape(count * count, 16)
+    index = jnp.stack(joints_of(near), 1)
+    capacity = index.shape[0]
+    padded = -(-capacity // BLOCK) * BLOCK
+    index = jnp.pad(index, ((0, padded - capacity), (0, 0)))
+    at_a = lambda v, i: v[i[:, 0]][:, :, None]
+    at_b = lambda v, i: v[i[:, 2]][:, None, :]
+
+    def evaluate(row):
+        first, index = row
+        # components are kept in lists: arrays with a last axis of three are slow on a CPU
+        valid = first + jnp.arange(BLOCK) < near.count
+        s, mean = where.arc_length, lambda v: 0.5 * (at_a(v, index) + at_b(v, index))
+        pair = PairProperties(
+            mean(where.diameter), None if where.mass is None else mean(where.mass)
+        )
+        acts = jnp.abs(at_b(s, index) - at_a(s, index)) >= contact.excluded
+        between = lambda v: jnp.einsum("abi,qik->kqab", mix, v[index])
+        r, w = between(joints), between(velocities)
+        squared = jnp.sum(r**2, 0)
+        acts = acts & valid[:, None, None] & (squared > 0)
+        # pairs that do not act are put at the cut-off, where everything is zero and smooth
+        distance = jnp.where(acts, jnp.sqrt(jnp.where(acts, squared, 1.0)), contact.cutoff)
+        n = jnp.where(acts, r / distance, 0.0)
+        opening = jnp.sum(n * w, 0)
+        corner = joints[index]  # (q, 4, 3)
+        chords = corner[:, 1::2] - corner[:, ::2]
+        lengths = jnp.sqrt(jnp.sum(chords**2, -1))
+        t = jnp.moveaxis(chords / lengths[..., None], 2, 0)[..., None, None]
+        ta, tb = t[:, :, 0], t[:, :, 1]
+        cosine_a, cosine_b = jnp.sum(n * ta, 0), jnp.sum(n * tb, 0)
+
+        def magnitude(d, c, ca, cb):
+            psi = continued(contact.law, d, c, pair)
+            return psi * window(contact, d, ca, cb) * where.spacing**2
+
+        inputs = (distance, -opening, cosine_a, cosine_b)
+        if by_velocity is None:
+            p, h = jnp.where(acts, magnitude(*inputs), 0.0), None
+        else:
+            p, pull = jax.vjp(magnitude, *inputs)
+            p_d, p_c, p_a, p_b = (jnp.where(acts, g, 0.0) for g in pull(jnp.ones_like(p)))
+            p = jnp.where(acts, p, 0.0)
+            g = (p_d - by_velocity * p_c) * n + (
+                p_a * (ta - cosine_a * n) + p_b * (tb - cosine_b * n) - p_c * (w - opening * n)
+            ) / distance
+            over = p / distance
+            size_a, size_b = lengths[:, 0, None, None], lengths[:, 1, None, None]
+            by_chord = (p_a * (n - cosine_a * ta) / size_a, p_b * (n - cosine_b * tb) / size_b)
+            # without the barrier XLA evaluates the above anew for each of the nine components
+            n_, g, over, by_chord = lax.optimization_barrier((n, g - over * n, over, by_chord))
+            eye = jnp.eye(3, dtype=p.dtype)[:, :, None, None, None]
+            h = n_[:, None] * g[None, :] + over * eye
+            h = jnp.einsum("klqx,xi->qikl", h.reshape(3, 3, BLOCK, -1), products)
+            h = h.reshape(BLOCK, 4, 4, 3, 3)
+            turned = [
+                jnp.einsum("klqab,abi->qikl", n_[:, None] * by[None, :], mix) for by in by_chord
+            ]
+            ends = jnp.stack([-turned[0], turned[0], -turned[1], turned[1]], 2)
+            h = -(h + ends)
+        force = jnp.einsum("abi,kqab->qik", mix, p * n)
+        ratio = jnp.min(jnp.where(p != 0, distance / pair.diameter, jnp.inf))
+        return force, h, ratio, jnp.sum(jnp.abs(p))
+
+    return evaluate, (jnp.arange(0, padded, BLOCK), index.reshape(-1, BLOCK, 4))
+
+
+def gather(near: Near, force: Float[Array, "q 4 3"], joints: int) -> Float[Array, "j 3"]:
+    """Sum over the pairs at every joint."""
+    index = jnp.stack(joints_of(near), 1)
+    return jnp.zeros((joints, 3), force.dtype).at[index].add(force)
+
+
+def forces(
+    contact: Contact,
+    rod: Rod,
+    where: Sites,
+    near: Near,
+    position: Float[Array, "nodes 3"],
+    velocity: Float[Array, "nodes 3"],
+) -> Float[Array, "nodes 3"]:
+    """Contact forces on the nodes [N], for a list of pairs found before."""
+    return _report(contact, rod, where, near, position, velocity).force
+
+
+class ContactReport(NamedTuple):
+    """Contact of one configuration."""
+
+    force: Float[Array, "nodes 3"]  # on the nodes [N]
+    total: Float[Array, ""]  # sum of the magnitudes of all forces between points [N]
+    smallest: Float[Array, ""]  # least d/D of the points that act; infinite without one
+
+
+def _report(contact, rod, where, near, position, velocity) -> ContactReport:
+    joints, velocities = interpolate(where, position), interpolate(where, velocity)
+    found = pair_forces(contact, where, near, joints, velocities)
+    summed = gather(near, found.force, contact.segments + 1)
+    nodal = spread(where, summed, rod.elements + 1)
+    return ContactReport(nodal, found.total, found.smallest)
+
+
+def report(
+    contact: Contact,
+    rod: Rod,
+    position: Float[Array, "nodes 3"],
+    velocity: Float[Array, "nodes 3"],
+) -> ContactReport:
+    """Contact forces and the smallest gap of a configuration, by a search of its own."""
+    where = sites(contact, rod)
+    near = search(contact, where, position)
+    return _report(contact, rod, where, near, position, velocity)

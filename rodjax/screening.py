@@ -1,0 +1,169 @@
+"""Search for segments near each other, and what keeps strands from passing through each other.
+
+The search runs once a step, on the motion predicted for it; its list of pairs is then held, so
+that Newton's equations are smooth.
+"""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+from jax import lax
+from jaxtyping import Array, Bool, Float, Int
+
+from rodjax.contact import Contact, Sites, interpolate
+from rodjax.contact_laws import PairProperties
+
+BLOCK = 32  # pairs that are evaluated together
+
+
+class Near(NamedTuple):
+    """Outcome of the search: pairs of segments, and the joints that they involve."""
+
+    first: Int[Array, " q"]  # segment nearer to s = 0; beyond `count` meaningless but valid
+    second: Int[Array, " q"]
+    count: Int[Array, ""]  # pairs in the list
+    order: Int[Array, " j"]  # all joints, those involved first
+    rank: Int[Array, " j"]  # place of each joint in `order`
+    level: Int[Array, ""]  # 0: no pair; k: the k-th size of `Contact.sizes` holds them
+    overflow: Bool[Array, ""]  # pairs or joints were left out
+
+
+def _separations(x):
+    """Components of x_j - x_i for all i, j."""
+    return [x[None, :, k] - x[:, None, k] for k in range(3)]
+
+
+def _norm(components):
+    return jnp.sqrt(sum(c**2 for c in components))
+
+
+def _middles(where: Sites, nodal) -> Float[Array, "g 3"]:
+    joints = lax.stop_gradient(interpolate(where, nodal))
+    return 0.5 * (joints[1:] + joints[:-1])
+
+
+def search(
+    contact: Contact,
+    where: Sites,
+    position: Float[Array, "nodes 3"],
+    displacement: Float[Array, "nodes 3"] | None = None,
+) -> Near:
+    """Pairs of segments of which some points are within reach and inside both apertures.
+
+    `displacement` is the expected motion of the step; the reach is the cut-off plus one and a
+    half times a pair's relative displacement, so that no strand tunnels between two searches.
+    No derivative passes through.
+    """
+    contact, where = lax.stop_gradient((contact, where))
+    # a segment's points lie within this of its middle, so a pair's within twice of the line
+    half = 0.5 * where.spacing * (contact.points_per_segment - 1)
+    joints = lax.stop_gradient(interpolate(where, position))
+    chord = joints[1:] - joints[:-1]
+    chord = chord / jnp.sqrt(jnp.sum(chord**2, 1, keepdims=True))
+    r = _separations(0.5 * (joints[1:] + joints[:-1]))
+    distance = _norm(r)
+    motion = jnp.zeros((), distance.dtype)
+    if displacement is not None:
+        motion = 1.5 * _norm(_separations(_middles(where, displacement)))
+    # inside an aperture: |r.t| cos(theta/2) <= |r - (r.t) t| sin(theta/2), each within the slack
+    cosine, sine = jnp.cos(0.5 * contact.aperture), jnp.sin(0.5 * contact.aperture)
+
+    def inside(t):
+        along = jnp.abs(sum(rk * tk for rk, tk in zip(r, t, strict=True)))
+        across = jnp.sqrt(jnp.maximum(distance**2 - along**2, 0.0))
+        return along * cosine <= across * sine + 2 * half + motion
+
+    s = jnp.mean(where.arc_length, 1)
+    segment = jnp.arange(contact.segments)
+    near = (distance < contact.cutoff + motion + 2 * half) & (segment[:, None] < segment[None, :])
+    near = near & (jnp.abs(s[:, None] - s[None, :]) + 2 * half >= contact.excluded)
+    near = near & inside([chord[:, None, k] for k in range(3)])
+    near = near & inside([chord[None, :, k] for k in range(3)])
+    capacity = contact.pair_capacity(contact.sizes[-1])
+
+    def pick(near):
+        first, second = jnp.nonzero(near, size=capacity, fill_value=0)
+        return first.astype(jnp.int32), second.astype(jnp.int32), jnp.sum(near).astype(jnp.int32)
+
+    none = jnp.zeros((capacity,), jnp.int32)
+    nothing = (none, none, jnp.asarray(0, jnp.int32))
+    first, second, count = lax.cond(jnp.any(near), pick, lambda _: nothing, near)
+    segments = jnp.any(near, 0) | jnp.any(near, 1)
+    involved = jnp.zeros((contact.segments + 1,), bool).at[:-1].set(segments)
+    involved = involved | jnp.roll(involved, 1)
+    joints = jnp.sum(involved)
+    before = jnp.cumsum(involved) - involved
+    index = jnp.arange(contact.segments + 1)
+    rank = jnp.where(involved, before, joints + index - before).astype(jnp.int32)
+    order = jnp.zeros_like(rank).at[rank].set(index.astype(jnp.int32))
+    sizes = jnp.asarray(contact.sizes)
+    fits = (joints <= sizes) & (count <= jnp.asarray([*map(contact.pair_capacity, contact.sizes)]))
+    overflow = ~fits[-1]
+    level = jnp.where(overflow, len(contact.sizes), jnp.argmax(fits) + 1)
+    level = jnp.where(count == 0, 0, level).astype(jnp.int32)
+    return Near(first, second, jnp.minimum(count, capacity), order, rank, level, overflow)
+
+
+def approach_limit(
+    contact: Contact,
+    where: Sites,
+    near: Near,
+    position: Float[Array, "nodes 3"],
+    change: Float[Array, "nodes 3"],
+) -> Float[Array, ""]:
+    """Largest fraction of a change of position that closes no gap by more than 70 %.
+
+    The gap is counted from the law's smallest distance. Only the relative motion of near pairs
+    is bounded, so a far part of the rod moves freely. No derivative passes through.
+    """
+    x, dx = (lax.stop_gradient(interpolate(where, v)) for v in (position, change))
+    diameter, excluded, law = lax.stop_gradient((where.diameter, contact.excluded, contact.law))
+    arc_length = lax.stop_gradient(where.arc_length)
+    part = (jnp.arange(contact.points_per_segment) + 0.5) / contact.points_per_segment
+    part = part.astype(position.dtype)
+
+    def points(values, segment):
+        a, b = values[segment][:, None], values[segment + 1][:, None]
+        return a + part[None, :, None] * (b - a)
+
+    def body(i, limit):
+        at = i * BLOCK + jnp.arange(BLOCK)
+        valid = at < near.count
+        first, second = near.first[at], near.second[at]
+        pair = lambda v: points(v, second)[:, None, :] - points(v, first)[:, :, None]
+        r, w = pair(x), pair(dx)
+        squared = jnp.sum(r**2, -1)
+        acts = jnp.abs(arc_length[second][:, None, :] - arc_length[first][:, :, None]) >= excluded
+        acts = acts & valid[:, None, None] & (squared > 0)
+        distance = jnp.sqrt(jnp.where(squared > 0, squared, 1.0))
+        closing = -jnp.sum(r * w, -1) / distance
+        mean = 0.5 * (diameter[first][:, :, None] + diameter[second][:, None, :])
+        floor = law.smallest(PairProperties(mean, None))
+        gap = jnp.maximum(distance - floor, 0.05 * mean)
+        ratio = 0.7 * gap / jnp.where(closing > 0, closing, 1.0)
+        return jnp.minimum(limit, jnp.min(jnp.where(acts & (closing > 0), ratio, 1.0)))
+
+    blocks = (near.count + BLOCK - 1) // BLOCK
+    return lax.fori_loop(0, blocks, body, jnp.ones((), position.dtype))
+
+
+def passage_suspected(
+    contact: Contact,
+    where: Sites,
+    before: Float[Array, "nodes 3"],
+    after: Float[Array, "nodes 3"],
+) -> Bool[Array, ""]:
+    """Whether two segments changed sides in a step, listed by the search or not.
+
+    That is: the line between their middles turned by more than a right angle, and passed within
+    the cut-off on a straight way from the one to the other.
+    """
+    old, new = (_separations(_middles(where, x)) for x in (before, after))
+    product = sum(a * b for a, b in zip(old, new, strict=True))
+    way = [b - a for a, b in zip(old, new, strict=True)]
+    length = sum(w**2 for w in way)
+    along = -sum(a * w for a, w in zip(old, way, strict=True)) / jnp.where(length > 0, length, 1.0)
+    closest = _norm([a + along * w for a, w in zip(old, way, strict=True)])
+    s = jnp.mean(where.arc_length, 1)
+    apart = jnp.abs(s[:, None] - s[None, :]) >= contact.excluded
+    return jnp.any(apart & (product < 0) & (closest < contact.cutoff))
