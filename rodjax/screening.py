@@ -148,22 +148,42 @@ def approach_limit(
 
 
 def passage_suspected(
-    contact: Contact,
     where: Sites,
+    near: Near,
     before: Float[Array, "nodes 3"],
     after: Float[Array, "nodes 3"],
 ) -> Bool[Array, ""]:
-    """Whether two segments changed sides in a step, listed by the search or not.
+    """Whether two near segments crossed each other in a step.
 
-    That is: the line between their middles turned by more than a right angle, and passed within
-    the cut-off on a straight way from the one to the other.
+    Two chords cross when the volume of the tetrahedron of their four joints changes sign, at a
+    moment when the point common to their lines lies on both: that moment and point are found on
+    the straight ways of the joints. A slow passage is seen as well as a fast one.
     """
-    old, new = (_separations(_middles(where, x)) for x in (before, after))
-    product = sum(a * b for a, b in zip(old, new, strict=True))
-    way = [b - a for a, b in zip(old, new, strict=True)]
-    length = sum(w**2 for w in way)
-    along = -sum(a * w for a, w in zip(old, way, strict=True)) / jnp.where(length > 0, length, 1.0)
-    closest = _norm([a + along * w for a, w in zip(old, way, strict=True)])
-    s = jnp.mean(where.arc_length, 1)
-    apart = jnp.abs(s[:, None] - s[None, :]) >= contact.excluded
-    return jnp.any(apart & (product < 0) & (closest < contact.cutoff))
+    old, new = (lax.stop_gradient(interpolate(where, x)) for x in (before, after))
+    valid = jnp.arange(near.first.shape[0]) < near.count
+
+    def chords(x):
+        a, b = x[near.first], x[near.second]
+        return x[near.first + 1] - a, x[near.second + 1] - b, b - a
+
+    def volume(x):
+        first, second, between = chords(x)
+        return jnp.sum(jnp.cross(first, second) * between, 1)
+
+    start, end = volume(old), volume(new)
+    change = start - end
+    moment = jnp.where(change == 0, 0.0, start / jnp.where(change == 0, 1.0, change))
+    joints = lambda segment: (
+        old[segment] + moment[:, None] * (new[segment] - old[segment]),
+        old[segment + 1] + moment[:, None] * (new[segment + 1] - old[segment + 1]),
+    )
+    (a0, a1), (b0, b1) = joints(near.first), joints(near.second)
+    first, second, between = a1 - a0, b1 - b0, b0 - a0
+    dot = lambda x, y: jnp.sum(x * y, 1)
+    # parameters of the common point on the two lines, both times the determinant
+    determinant = dot(first, first) * dot(second, second) - dot(first, second) ** 2
+    on_first = dot(second, second) * dot(first, between) - dot(first, second) * dot(second, between)
+    on_second = dot(first, second) * dot(first, between) - dot(first, first) * dot(second, between)
+    inside = lambda u: (u >= 0) & (u <= determinant)
+    crossed = (start * end < 0) & inside(on_first) & inside(on_second) & (determinant > 0)
+    return jnp.any(crossed & valid)

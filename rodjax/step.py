@@ -363,9 +363,7 @@ def advance_to(
     contact_code = jnp.asarray(Result.SUCCESS, jnp.int32)
     if scene.contact is not None:
         assert equations.nearby is not None
-        passed = screening.passage_suspected(
-            scene.contact, equations.nearby.where, state.position, new.position
-        )
+        passed = screening.passage_suspected(*equations.nearby, state.position, new.position)
         contact_code = join(
             jnp.where(passed, Result.STRAND_PASSAGE, Result.SUCCESS),
             jnp.where(equations.nearby.near.overflow, Result.CAPACITY_OVERFLOW, Result.SUCCESS),

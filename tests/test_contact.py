@@ -255,11 +255,29 @@ def test_limit_keeps_strands_apart(bent):
     limit = screening.approach_limit(scene.contact, *near, state.position, change)
     assert 0 < limit < 0.5
     assert screening.approach_limit(scene.contact, *near, state.position, -change) == 1
-    moved = state.position + change
-    assert screening.passage_suspected(scene.contact, near.where, state.position, moved)
-    assert not screening.passage_suspected(
-        scene.contact, near.where, state.position, state.position
-    )
+
+
+@pytest.mark.parametrize("pieces", [1, 40])
+def test_passage_is_seen_fast_or_slow(pieces):
+    """One leg tilted and moved through the other, in one step or in many; not beside it."""
+    contact = Contact(LAWS["damped"], segments=20, cutoff=0.1)
+    scene = Scene(hairpin(), contact=contact)
+    place = scene.rod.position
+    place = place.at[14:, 2].add(0.3 * (jnp.arange(11) - 6) / 11)  # the legs cross when projected
+
+    @eqx.filter_jit
+    def seen(before, after):
+        nearby = find_nearby(scene, before, after - before)
+        return screening.passage_suspected(*nearby, before, after)
+
+    def passed(shift):
+        way = [place.at[14:].add(part * shift) for part in jnp.linspace(0, 1, pieces + 1)]
+        return any(bool(seen(a, b)) for a, b in zip(way, way[1:], strict=False))
+
+    assert passed(jnp.asarray([-0.16, 0.0, 0.0]))
+    assert not passed(jnp.asarray([-0.06, 0.0, 0.0]))
+    assert not passed(jnp.asarray([0.16, 0.0, 0.0]))
+    assert not passed(jnp.asarray([-0.16, 0.0, 0.6]))
 
 
 def test_gradient_through_a_step_in_contact(bent):

@@ -94,7 +94,7 @@ OBJECTS = [
     StepControl(max_step=0.5, first_step=jnp.asarray(0.1)),
     GeneralizedAlpha(0.5, tolerance=1e-9, max_iterations=7),
     *(
-        Contact(law, points=50, cutoff=0.01, aperture=1.0, exclusion=0.05, capacities=(16, 50))
+        Contact(law, segments=49, cutoff=0.01, aperture=1.0, exclusion=0.05, capacities=(16, 50))
         for law in (
             DampedInversePower(offset=0.4),
             InversePower(1.0, 3.0),
