@@ -5,9 +5,7 @@ that begins during a run, is first order or fails without them.
 """
 
 import dataclasses
-import functools
 
-import equinox as eqx
 import jax
 import jax.core
 import jax.numpy as jnp
@@ -18,6 +16,7 @@ from jaxtyping import Array, Float
 from rodjax import balance, contact_forces, ends, inertia, rotations
 from rodjax.balance import Scales
 from rodjax.block_tridiagonal import BlockTridiagonal
+from rodjax.compilation import compiled
 from rodjax.loads import NodeMotion, total_wrench
 from rodjax.scene import Scene, projectors
 from rodjax.state import State
@@ -63,28 +62,24 @@ def start(
         if not isinstance(array, jax.core.Tracer) and not np.all(np.isfinite(array)):
             raise ValueError(f"{name}: must be finite everywhere")
         arrays[name] = array
-    unit = rotations.normalize(arrays["quaternion"])
-    stretch = strains(rod, arrays["position"], unit).stretch
-    gap = balance.constraint(rod, stretch, jnp.zeros_like(stretch))
-    if rod.compliance is not None:
-        gap = jnp.where(rod.compliance > 0, 0.0, gap)
-    tolerance = 1e3 * float(jnp.finfo(dtype).eps) * nodes
-    # negated, so that a frame of zero length (not a number here) is an error too
-    if not isinstance(gap, jax.core.Tracer) and not np.max(np.abs(gap)) <= tolerance:
-        raise ValueError(
-            f"position: stretched or sheared by {float(jnp.max(jnp.abs(gap))):.2g} at most, but the"
-            " rod is inextensible: place nodes at rest length along the element frames"
-        )
     state = State(
         jnp.asarray(time, dtype),
         arrays["position"],
-        unit,
+        arrays["quaternion"],
         jnp.concatenate([arrays["velocity"], arrays["angular_velocity"]], 1),
         jnp.zeros((nodes, 6), dtype),
         jnp.zeros((nodes, 6), dtype),
         jnp.zeros((rod.elements, 3), dtype),
     )
-    return compiled_restart(scene, state)[0]
+    new, _, gap = compiled_restart(scene, state)
+    tolerance = 1e3 * float(jnp.finfo(dtype).eps) * nodes
+    # negated, so that a frame of zero length (not a number here) is an error too
+    if not isinstance(gap, jax.core.Tracer) and not float(gap) <= tolerance:
+        raise ValueError(
+            f"position: stretched or sheared by {float(gap):.2g} at most, but the rod is"
+            " inextensible: place nodes at rest length along the element frames"
+        )
+    return new
 
 
 def restart(
@@ -188,7 +183,18 @@ def restart(
     return new, before - after
 
 
-compiled_restart = eqx.filter_jit(functools.partial(restart, with_jerk=True))
+@compiled
+def compiled_restart(
+    scene: Scene, state: State
+) -> tuple[State, Float[Array, ""], Float[Array, ""]]:
+    """`restart` with the jerk, of unit quaternions; the worst error of the constraint besides."""
+    unit = rotations.normalize(state.quaternion)
+    stretch = strains(scene.rod, state.position, unit).stretch
+    gap = balance.constraint(scene.rod, stretch, jnp.zeros_like(stretch))
+    if scene.rod.compliance is not None:
+        gap = jnp.where(scene.rod.compliance > 0, 0.0, gap)
+    new, lost = restart(scene, dataclasses.replace(state, quaternion=unit), with_jerk=True)
+    return new, lost, jnp.max(jnp.abs(gap))
 
 
 def _stretch_jerk(rod, quaternion, kinematics, rate, acceleration) -> Float[Array, "n 3"]:

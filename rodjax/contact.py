@@ -55,7 +55,7 @@ class Contact(eqx.Module):
         converter=lambda x: None if x is None else _as_float(x), default=None
     )
     capacities: tuple[int, ...] | None = eqx.field(static=True, default=None)
-    pairs_per_segment: int = eqx.field(static=True, default=8)
+    pairs_per_segment: int = eqx.field(static=True, default=4)
 
     def __check_init__(self):
         least = {"segments": 2, "points_per_segment": 1, "pairs_per_segment": 1}

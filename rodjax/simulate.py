@@ -13,6 +13,7 @@ from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
 from rodjax import results
+from rodjax.compilation import compiled
 from rodjax.consistency import compiled_restart
 from rodjax.generalized_alpha import GeneralizedAlpha
 from rodjax.results import Result
@@ -260,7 +261,7 @@ def adaptive_rollout(
         out = _adaptive_chunk(scene, current, memory, end, method, tolerances, size)
         count = int(out.accepted)
         current, memory = out.state, out.control
-        cut = lambda leaf, count=count: np.asarray(leaf[:count])
+        cut = lambda leaf, count=count: np.asarray(leaf)[:count]
         states, infos = jax.tree.map(cut, (out.states, out.infos))
         if loss is not None and count:
             losses = infos.projection_loss.copy()
@@ -326,7 +327,7 @@ def _memory(control: StepControl, span: float, dtype, resume: Control | None = N
     return Control(as_array(first), as_array(2.0), max_step, min_step)
 
 
-@eqx.filter_jit
+@compiled
 def _adaptive_chunk(scene, state, control, end_time, method, tolerances, size):
     info_shape = eqx.filter_eval_shape(advance_to, scene, state, end_time, method)[1]
     empty = lambda leaf: jnp.zeros((size, *leaf.shape), leaf.dtype)

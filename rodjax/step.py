@@ -313,7 +313,7 @@ def switching(scene: Scene, state: State) -> Bool[Array, ""]:
 
 def begin_constraint(scene: Scene, state: State, restart) -> tuple[State, Float[Array, ""]]:
     """The state made consistent with a constraint that begins, to be settled, and the loss [J]."""
-    bare, loss = restart(scene, dataclasses.replace(state, settling=None, jerk=None))
+    bare, loss = restart(scene, dataclasses.replace(state, settling=None, jerk=None))[:2]
     settling = jnp.asarray(SETTLING_STEPS, jnp.int32)
     # settling damps what the jerk of a start is there to avoid
     jerk = None if state.jerk is None else jnp.zeros_like(state.jerk)

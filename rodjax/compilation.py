@@ -1,0 +1,47 @@
+"""Compilation of the library's own top-level programs.
+
+XLA's newer fusion emitters for CPUs take about twice as long to compile a step as the older ones,
+for code that is no faster. Where the option exists (it went with jaxlib 0.12), the programs that
+the library itself compiles, `start` and the loop of `adaptive_rollout`, do without them.
+"""
+
+import functools
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.core
+import jax.numpy as jnp
+
+_OPTIONS = {"xla_cpu_use_fusion_emitters": False}
+
+
+@functools.cache
+def _options() -> dict[str, Any]:
+    """Compiler options that this backend knows."""
+    if jax.default_backend() != "cpu":
+        return {}
+    try:
+        jax.jit(lambda x: x + 1, compiler_options=_OPTIONS)(jnp.zeros(()))
+    except Exception:
+        return {}
+    return _OPTIONS
+
+
+def compiled(function):
+    """`eqx.filter_jit` with these options; inside traced code (a caller's jit) without."""
+
+    @functools.cache
+    def program():
+        return eqx.filter_jit(function, compiler_options=_options())
+
+    inner = eqx.filter_jit(function)
+
+    @functools.wraps(function)
+    def call(*arguments):
+        leaves = jax.tree.leaves(arguments)
+        if any(isinstance(leaf, jax.core.Tracer) for leaf in leaves):
+            return inner(*arguments)
+        return program()(*arguments)
+
+    return call
