@@ -69,7 +69,7 @@ class Preset:
         inputs = {
             "diameter": f"{1e3 * self.diameter:g} mm",
             "twist": f"linear to {knots}, then {self.rate_after:.6g} turns/s",
-            "contact search": f"within {1e3 * self.cutoff:g} mm, aperture 90 degrees",
+            "contact search": f"within {1e3 * self.cutoff:g} mm, aperture 120 degrees",
             "imperfection": f"natural curvature {self.seed_curvature:g} /m about a_1",
         }
         return inputs | ({"left end": held} if held else {})
@@ -116,7 +116,7 @@ def contact_law(preset: Preset) -> Contact:
     """Self-contact by Eq. (13) with the paper's coefficients.
 
     The paper gives neither the distance tolerance nor the screening aperture: both are assumed
-    (`Preset.cutoff`, 90 degrees), as is the spacing of the contact points, fine enough for a force
+    (`Preset.cutoff`, 120 degrees), as is the spacing of the contact points, fine enough for a force
     ripple under 2 % at the distance where the strands settle.
     """
     return Contact(
@@ -124,6 +124,7 @@ def contact_law(preset: Preset) -> Contact:
         segments=preset.contact_segments,
         points_per_segment=preset.points_per_segment,
         cutoff=preset.cutoff,
+        aperture=2 * np.pi / 3,
     )
 
 

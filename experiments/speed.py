@@ -24,6 +24,7 @@ import equinox as eqx  # noqa: E402
 import jax.numpy as jnp  # noqa: E402
 import matplotlib.pyplot as plt  # noqa: E402
 import numpy as np  # noqa: E402
+import scipy.interpolate  # noqa: E402
 import scipy.linalg  # noqa: E402
 from example import PRESETS, contact_law, scene  # noqa: E402
 
@@ -76,7 +77,7 @@ def plectoneme(elements: int, contact: bool) -> Scene:
     down = (up * np.array([-1.0, -1.0, 1.0]))[::-1][1:]
     points = np.concatenate([up, over, down])
     arc = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
-    curve = lambda s: np.array([np.interp(s, arc, points[:, k]) for k in range(3)])
+    curve = scipy.interpolate.CubicSpline(arc[::20], points[::20])
     preset = PRESETS["timeline"]
     section = circular_section(preset.diameter, 1.25e7, 5e6, 1500.0)
     rod = curved_rod(curve, 1.0, elements, section)

@@ -33,7 +33,8 @@ def compiled(function):
 
     @functools.cache
     def program():
-        return eqx.filter_jit(function, compiler_options=_options())
+        # what filter_jit hands on to jax.jit is missing in its type
+        return eqx.filter_jit(function, compiler_options=_options())  # pyright: ignore
 
     inner = eqx.filter_jit(function)
 

@@ -133,7 +133,10 @@ def _check_times(scene, state, times):
 def _rollout(scene, state, times, method, save_every):
     def one(carry, stop):
         before, failed = carry
-        after, info = step(scene, before, stop, method)
+        # after a failure nothing more is computed that costs anything
+        left = jnp.where(failed == Result.SUCCESS, method.max_iterations, 0)
+        limited = dataclasses.replace(method, max_iterations=left)
+        after, info = step(scene, before, stop, limited)
         code = results.join(failed, info.result)
         good = code == Result.SUCCESS
         after = jax.tree.map(lambda new, old: jnp.where(good, new, old), after, before)

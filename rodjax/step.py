@@ -46,6 +46,9 @@ class StepInfo(NamedTuple):
 # that no step of practical size resolves, and without damping they ring on in the forces.
 SETTLING_STEPS = 4
 
+# Largest rotation of a node that Newton's iteration may begin with [rad].
+_LARGEST_TURN = 1.0
+
 
 class StepEquations(eqx.Module):
     """Balance, constraint and ends at t_{n+1}, in scaled unknowns.
@@ -197,12 +200,18 @@ class StepEquations(eqx.Module):
         )
 
     def limited(self, x):
-        """The guess x with its increment scaled down where strands would close too much."""
+        """The guess x with its increment scaled down where it turns a node or closes a gap too far.
+
+        After a jolt, nodes beside the end spin so fast that they would be predicted to turn over.
+        """
         full = self.increment(x)
-        assert self.scene.contact is not None and self.nearby is not None
-        scale = screening.approach_limit(
-            self.scene.contact, *self.nearby, self.state.position, full[:, :3]
-        )
+        turn = jnp.sqrt(jnp.max(jnp.sum(lax.stop_gradient(full[:, 3:]) ** 2, 1)))
+        scale = _LARGEST_TURN / jnp.maximum(turn, _LARGEST_TURN)
+        if self.nearby is not None and self.scene.contact is not None:
+            approach = screening.approach_limit(
+                self.scene.contact, *self.nearby, self.state.position, full[:, :3]
+            )
+            scale = jnp.minimum(scale, approach)
         change = (scale - 1) * full
         return x.at[:, :3].add(change[:, :3] / self.scales.length).at[:, 6:].add(change[:, 3:])
 
@@ -314,10 +323,16 @@ def switching(scene: Scene, state: State) -> Bool[Array, ""]:
 def begin_constraint(scene: Scene, state: State, restart) -> tuple[State, Float[Array, ""]]:
     """The state made consistent with a constraint that begins, to be settled, and the loss [J]."""
     bare, loss = restart(scene, dataclasses.replace(state, settling=None, jerk=None))[:2]
-    settling = jnp.asarray(SETTLING_STEPS, jnp.int32)
-    # settling damps what the jerk of a start is there to avoid
-    jerk = None if state.jerk is None else jnp.zeros_like(state.jerk)
-    return dataclasses.replace(bare, settling=settling, jerk=jerk), loss
+    zero = jnp.zeros_like(state.rate)
+    new = dataclasses.replace(
+        bare,
+        settling=jnp.asarray(SETTLING_STEPS, jnp.int32),
+        # the jolt's accelerations are those of modes that no step resolves: predicting with them
+        # would throw the first step far off
+        auxiliary=zero,
+        jerk=None if state.jerk is None else zero,
+    )
+    return new, loss
 
 
 def advance_to(
@@ -338,7 +353,7 @@ def advance_to(
         expected = equations.increment(guess)[:, :3]
         nearby = find_nearby(scene, state.position, expected)
         equations = StepEquations(scene, state, stop, radius, nearby)
-        guess = equations.limited(guess)
+    guess = equations.limited(guess)
     tolerance = method.newton_tolerance(state.position.dtype)
     x, solved = newton.solve(equations, guess, tolerance, method.max_iterations)
     increment = equations.increment(x)

@@ -1,6 +1,12 @@
 """Settings of every test: double precision, no implicit rank promotion, no display."""
 
+import importlib.metadata
 import os
+
+# most of the tests' time is compilation: see rodjax/compilation.py (the flag went with 0.12)
+if tuple(map(int, importlib.metadata.version("jaxlib").split(".")[:2])) < (0, 12):
+    flags = os.environ.get("XLA_FLAGS", "")
+    os.environ["XLA_FLAGS"] = f"{flags} --xla_cpu_use_fusion_emitters=false".strip()
 
 import jax
 

@@ -9,7 +9,7 @@ from jax import lax
 from rodjax import rotations
 from rodjax.ends import Clamped, Slider, Turn
 from rodjax.loads import MorisonDrag
-from rodjax.rod import Rod, Section, straight_rod
+from rodjax.rod import Rod, Section, circular_section, curved_rod, straight_rod
 from rodjax.scene import Scene
 from rodjax.schedules import Smooth
 from rodjax.step import step
@@ -81,3 +81,24 @@ def final_state(scene, state, end, count, method):
     final, worst = advance_to(scene, state, jnp.asarray(end), jnp.asarray(count), method)
     assert int(worst) == 0
     return final
+
+
+DIAMETER = 0.02
+
+
+def hairpin(elements=24, half_gap=0.04, tilt=0.003):
+    """A rod bent into two parallel strands 2 * half_gap apart."""
+    leg = (1 - np.pi * half_gap) / 2
+
+    def curve(s):
+        s = np.asarray(s)
+        if s < leg:
+            return np.array([0.0, s, 0.0])
+        angle = (s - leg) / half_gap
+        if angle < np.pi:
+            bend = np.array([1 - np.cos(angle), np.sin(angle), 0.0])
+            return half_gap * bend + np.array([0.0, leg, 0.0])
+        return np.array([2 * half_gap, leg - (s - leg - np.pi * half_gap), tilt])
+
+    section = circular_section(DIAMETER, 1e6, 5e5, 1500.0)
+    return curved_rod(curve, 1.0, elements, section)

@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from helpers import DIAMETER, hairpin
 
 from rodjax import contact as contact_of
 from rodjax import contact_forces as forces_of
@@ -18,11 +19,10 @@ from rodjax.contact_laws import PairProperties
 from rodjax.coupled import find_nearby
 from rodjax.ends import Clamped
 from rodjax.results import Result
-from rodjax.rod import circular_section, curved_rod, straight_rod
+from rodjax.rod import circular_section, straight_rod
 from rodjax.scene import Scene
 from rodjax.step import StepEquations, step
 
-DIAMETER = 0.02
 LAWS = {
     "damped": laws.DampedInversePower(k1=1e-4, k3=1e-1),
     "inverse_power": laws.InversePower(strength=1e-2, exponent=3.0),
@@ -31,24 +31,6 @@ LAWS = {
     "barrier": laws.Barrier(stiffness=1e6),
     "penalty": laws.Penalty(stiffness=1e6),
 }
-
-
-def hairpin(elements=24, half_gap=0.04, tilt=0.003):
-    """A rod bent into two parallel strands 2 * half_gap apart."""
-    leg = (1 - np.pi * half_gap) / 2
-
-    def curve(s):
-        s = np.asarray(s)
-        if s < leg:
-            return np.array([0.0, s, 0.0])
-        angle = (s - leg) / half_gap
-        if angle < np.pi:
-            bend = np.array([1 - np.cos(angle), np.sin(angle), 0.0])
-            return half_gap * bend + np.array([0.0, leg, 0.0])
-        return np.array([2 * half_gap, leg - (s - leg - np.pi * half_gap), tilt])
-
-    section = circular_section(DIAMETER, 1e6, 5e5, 1500.0)
-    return curved_rod(curve, 1.0, elements, section)
 
 
 @pytest.fixture(scope="module")
@@ -126,13 +108,7 @@ def test_search_misses_no_pair_that_acts(bent):
         for b in range(a + 1, 20):
             r = points[b][None] - points[a][:, None]
             d = np.linalg.norm(r, axis=-1)
-            cosines = [
-                np.sum(r * t, -1) / d
-                for t in (
-                    np.asarray(found.tangents[a])[:, None],
-                    np.asarray(found.tangents[b])[None],
-                )
-            ]
+            cosines = [np.sum(r * chord[segment], -1) / d for segment in (a, b)]
             apart = np.abs(where.arc_length[b][None] - where.arc_length[a][:, None])
             gate = forces_of.window(scene.contact, d, *cosines) * (apart >= scene.contact.excluded)
             if np.any(gate > 0):
@@ -216,7 +192,9 @@ def test_ripple_of_the_force_is_under_two_percent(name):
 def test_force_does_not_depend_on_the_division():
     totals = []
     for segments, points in ((48, 4), (96, 2), (96, 6)):
-        contact = Contact(LAWS["damped"], segments, 0.1, points_per_segment=points)
+        contact = Contact(
+            LAWS["damped"], segments, 0.1, points_per_segment=points, pairs_per_segment=12
+        )
         scene = Scene(hairpin(96), contact=contact)
         state = start(scene)
         found = forces_of.report(scene.contact, scene.rod, state.position, state.velocity)

@@ -1,0 +1,85 @@
+"""A scene traces nothing of what it does not have."""
+
+import re
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import pytest
+
+from rodjax.consistency import start
+from rodjax.contact import Contact
+from rodjax.contact_laws import InversePower
+from rodjax.ends import Clamped, Slider, Switched
+from rodjax.loads import Gravity, MorisonDrag
+from rodjax.rod import Section, straight_rod
+from rodjax.scene import Scene
+from rodjax.simulate import prepare
+from rodjax.step import step
+
+CONTACT = {"contact.py", "screening.py", "contact_forces.py", "contact_laws.py"}
+
+
+def rod(**changes):
+    """A rod of eight elements."""
+    fields = {"mass": 1.0, "rotary_inertia": (1e-3, 1e-3, 2e-3), "diameter": 0.02} | changes
+    return straight_rod(1.0, 8, Section((1.0, 1.0, 0.8), **fields))
+
+
+SCENES = {
+    "bare": Scene(rod(rotary_inertia=None), Clamped()),
+    "rotary inertia": Scene(rod(), Clamped()),
+    "compliance": Scene(rod(compliance=(1e-4, 1e-4, 1e-5)), Clamped()),
+    "gravity": Scene(rod(), Clamped(), loads=(Gravity((0.0, 0.0, -9.81)),)),
+    "drag": Scene(rod(), Clamped(), loads=(MorisonDrag(1000.0, 0.1, 0.01),)),
+    "switch": Scene(rod(), Clamped(), Switched(Slider((0.0, 0.0, 1.0)), Clamped(), 1.0)),
+    "contact": Scene(rod(), Clamped(), contact=Contact(InversePower(1.0, 3.0), 8, 0.1)),
+}
+
+
+@pytest.fixture(scope="module")
+def programs():
+    """The traced step of every scene, with the places in the source that made its operations."""
+    texts = {}
+    for name, scene in SCENES.items():
+        state = prepare(scene, start(scene))
+        arrays, rest = eqx.partition((scene, state, jnp.asarray(1e-2)), eqx.is_array)
+        # cached parts of programs traced before would name the places that made those
+        jax.clear_caches()
+        program = jax.jit(lambda arrays, rest=rest: step(*eqx.combine(arrays, rest)))
+        texts[name] = program.lower(arrays).as_text(debug_info=True)
+    return texts
+
+
+def files(text):
+    """Files of the library named in a program."""
+    return set(re.findall(r"rodjax/(\w+\.py)", text))
+
+
+def operations(text):
+    """Number of operations of a program."""
+    return len(re.findall(r"^\s*%\S+ = ", text, re.MULTILINE))
+
+
+def test_only_contact_traces_the_files_of_contact(programs):
+    assert files(programs["contact"]) >= CONTACT
+    for name in SCENES.keys() - {"contact"}:
+        assert not files(programs[name]) & CONTACT, name
+
+
+def test_only_loads_trace_the_file_of_loads(programs):
+    for name, text in programs.items():
+        assert ("loads.py" in files(text)) == (name in ("gravity", "drag")), name
+
+
+def test_only_a_switch_traces_a_restart(programs):
+    for name, text in programs.items():
+        assert ("consistency.py" in files(text)) == (name == "switch"), name
+
+
+def test_every_part_adds_operations_of_its_own(programs):
+    counts = {name: operations(text) for name, text in programs.items()}
+    assert counts["bare"] > 100
+    assert counts["bare"] < counts["rotary inertia"]
+    for name in ("compliance", "gravity", "drag", "switch", "contact"):
+        assert counts["rotary inertia"] < counts[name], name
