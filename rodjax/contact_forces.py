@@ -80,8 +80,7 @@ def forces_and_derivative(
 @forces_and_derivative.def_jvp
 def _forces_and_derivative_jvp(primals, tangents):
     # a loop of unknown length has no reverse mode: derivatives take the scan
-    fixed = pair_forces
-    return forces_and_derivative(*primals), eqx.filter_jvp(fixed, primals, tangents)[1]
+    return forces_and_derivative(*primals), eqx.filter_jvp(pair_forces, primals, tangents)[1]
 
 
 def pair_forces(
@@ -133,13 +132,15 @@ def _blocks(contact, where, near, joints, velocities, by_velocity):
     index = jnp.stack(joints_of(near), 1)
     capacity = index.shape[0]
     padded = -(-capacity // BLOCK) * BLOCK
-    index = jnp.pad(index, ((0, padded - capacity), (0, 0)))
+    # filled up with a segment and itself, which does not act but has a length
+    filling = jnp.broadcast_to(jnp.asarray([0, 1, 0, 1], index.dtype), (padded - capacity, 4))
+    index = jnp.concatenate([index, filling])
     at_a = lambda v, i: v[i[:, 0]][:, :, None]
     at_b = lambda v, i: v[i[:, 2]][:, None, :]
 
     def evaluate(row):
         first, index = row
-        # components are kept in lists: arrays with a last axis of three are slow on a CPU
+        # components lead: arrays with a last axis of three are slow on a CPU
         valid = first + jnp.arange(BLOCK) < near.count
         s, mean = where.arc_length, lambda v: 0.5 * (at_a(v, index) + at_b(v, index))
         pair = PairProperties(

@@ -2,6 +2,7 @@
 
 import dataclasses
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from typing import NamedTuple
 
 import equinox as eqx
@@ -14,13 +15,14 @@ from jaxtyping import Array, Bool, Float, Int
 
 from rodjax import results
 from rodjax.compilation import compiled
-from rodjax.consistency import compiled_restart
+from rodjax.consistency import compiled_restart, start
+from rodjax.equilibrium import placing
 from rodjax.generalized_alpha import GeneralizedAlpha
 from rodjax.results import Result
 from rodjax.rotations import logarithm
 from rodjax.scene import Scene
 from rodjax.state import State
-from rodjax.step import StepInfo, advance_to, begin_constraint, prepare, step, switching
+from rodjax.step import StepInfo, advance_to, begin_constraint, no_info, prepare, step, switching
 from rodjax.strains import relative_rotation
 
 
@@ -172,8 +174,10 @@ class StepControl(eqx.Module):
             first_step None a tenth of max_step, min_step None 1e-9 of max_step.
     """
 
-    relative: Float[Array, ""] = eqx.field(converter=lambda x: jnp.asarray(x, float), default=0.02)
-    absolute: Float[Array, ""] = eqx.field(converter=lambda x: jnp.asarray(x, float), default=5e-3)
+    relative: Float[Array, ""] = eqx.field(converter=lambda x: jnp.asarray(x, float), default=0.01)
+    absolute: Float[Array, ""] = eqx.field(
+        converter=lambda x: jnp.asarray(x, float), default=2.5e-3
+    )
     max_step: float | Array | None = None
     first_step: float | Array | None = None
     min_step: float | Array | None = None
@@ -298,18 +302,33 @@ def join_runs(start: State, parts: list[Run]) -> Run:
 
 def compile_adaptive_rollout(
     scene: Scene,
-    state: State,
+    state: State | None = None,
     method: GeneralizedAlpha | None = None,
     *,
     chunk: int = 50,
 ) -> None:
-    """Compile the loop of `adaptive_rollout` for this scene and chunk without taking a step."""
+    """Compile the loop of `adaptive_rollout` for this scene and chunk without taking a step.
+
+    Without a state `start(scene)` is compiled too, at the same time in a thread of its own.
+    """
+    if state is None:
+        with ThreadPoolExecutor(1) as other:
+            starting = other.submit(start, scene)
+            compile_adaptive_rollout(scene, _placeholder(scene), method, chunk=chunk)
+            starting.result()
+        return
     control, dtype = StepControl(), state.position.dtype
     state = prepare(scene, state)
     method = GeneralizedAlpha() if method is None else method
     memory, tolerances = _memory(control, 1.0, dtype), _tolerances(control, dtype)
     out = _adaptive_chunk(scene, state, memory, state.time, method, tolerances, chunk)
     jax.block_until_ready(out.accepted)
+
+
+def _placeholder(scene: Scene) -> State:
+    """A state of the kind that `start` returns, to compile with."""
+    state = placing(scene)
+    return state if scene.rod.mass is None else dataclasses.replace(state, jerk=state.rate)
 
 
 def _tolerances(control: StepControl, dtype) -> tuple[Array, Array]:
@@ -332,7 +351,6 @@ def _memory(control: StepControl, span: float, dtype, resume: Control | None = N
 
 @compiled
 def _adaptive_chunk(scene, state, control, end_time, method, tolerances, size):
-    info_shape = eqx.filter_eval_shape(advance_to, scene, state, end_time, method)[1]
     empty = lambda leaf: jnp.zeros((size, *leaf.shape), leaf.dtype)
     switches = jnp.asarray(scene.switch_times, end_time.dtype)
     marks = jnp.concatenate([switches, scene.corners.astype(end_time.dtype), end_time[None]])
@@ -402,7 +420,7 @@ def _adaptive_chunk(scene, state, control, end_time, method, tolerances, size):
         state,
         control,
         jax.tree.map(empty, state),
-        jax.tree.map(empty, info_shape),
+        jax.tree.map(empty, no_info(state.position.dtype)),
         zero,
         zero,
         zero,

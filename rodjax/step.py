@@ -42,6 +42,12 @@ class StepInfo(NamedTuple):
     settling: Bool[Array, ""]  # damped most, just after a constraint began
 
 
+def no_info(dtype) -> StepInfo:
+    """A report of zeros, in the types of a step's."""
+    number, integer = jnp.zeros((), dtype), jnp.zeros((), jnp.int32)
+    return StepInfo(integer, integer, *[number] * 7, jnp.asarray(False))
+
+
 # Steps after a constraint began that are taken with spectral radius 0: its shock excites modes
 # that no step of practical size resolves, and without damping they ring on in the forces.
 SETTLING_STEPS = 4

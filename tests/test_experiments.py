@@ -179,3 +179,31 @@ def test_notebook_runs():
         if "image/png" in output.get("data", {})
     ]
     assert len(shown) == 3
+
+
+def test_speed_report_in_short_mode(tmp_path):
+    text = _run("speed.py", "--quick", "--out", str(tmp_path))
+    summary = json.loads((tmp_path / "summary.json").read_text())
+    assert (tmp_path / "speed.png").exists()
+    rows = summary["iteration_seconds"]
+    for name in ("without_contact", "plectoneme_in_contact"):
+        row = rows[name]["40"]
+        assert row["solve_difference"] < 1e-6  # the block solve and SciPy's agree
+        assert all(row[part] > 0 for part in ("residual", "jacobian", "iteration", "banded_solve"))
+    assert rows["plectoneme_in_contact"]["40"]["pairs"] > 20
+    assert summary["compilation"][0]["step_operations"] > 100
+    assert summary["peak_resident_mebibytes"] > 100
+    assert "SciPy" in text
+
+
+def test_sensitivity_in_short_mode(tmp_path):
+    _run("sensitivity.py", "--quick", "--out", str(tmp_path))
+    summary = json.loads((tmp_path / "summary.json").read_text())
+    assert (tmp_path / "sensitivity.png").exists()
+    names = [one["case"]["name"] for one in summary["runs"]]
+    assert names == ["as shipped", "k1 x 10", "k1 / 10", "largest step halved"]
+    for one in summary["runs"]:
+        assert one["result"] == "SUCCESS" and one["linking_error_max"] < 1e-9
+    # nothing touches before 16 s, so the strength of contact decides nothing yet
+    writhe = [one["writhe"][-1] for one in summary["runs"]]
+    assert writhe[0] > 0 and writhe[1] == pytest.approx(writhe[0], rel=1e-9)
