@@ -231,7 +231,7 @@ def slope(elements, seconds) -> float:
 
 def draw(rows: dict[str, dict[int, dict]], out: Path) -> None:
     """Costs of an iteration against the number of elements."""
-    figure, both = plt.subplots(1, 2, figsize=(10, 4), sharey=True, layout="constrained")
+    figure, both = plt.subplots(1, 2, figsize=(12, 4), sharey=True, layout="constrained")
     for axes, (title, found) in zip(both, rows.items(), strict=True):
         n = list(found)
         for name in ("iteration", "block_solve", "jacobian", "residual", "search", "banded_solve"):
@@ -242,7 +242,8 @@ def draw(rows: dict[str, dict[int, dict]], out: Path) -> None:
         axes.set(title=title.replace("_", " "), xlabel="elements")
         axes.grid(which="both", alpha=0.3)
     both[0].set_ylabel("median time [ms]")
-    both[1].legend()
+    handles, labels = both[1].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside right center")
     figure.savefig(out / "speed.png", dpi=150)
 
 

@@ -85,7 +85,7 @@ left_end = Switched(Slider(axis), Clamped(), 30.0)
 # ## Loads and self-contact
 #
 # The only load is the drag of the surrounding water, Eq. (14) of the paper. Self-contact is its
-# Eq. (13); the choice of contact points and cut-off is that of the experiment.
+# Eq. (13); the choice of contact segments and cut-off is that of the experiment.
 
 # %%
 from rodjax.loads import MorisonDrag
