@@ -406,7 +406,7 @@ def main(argv=None) -> int:
     options.out.mkdir(parents=True, exist_ok=True)
     whole = scene(preset, options.elements, contact=not options.no_contact)
     print_inputs(preset, whole.contact is not None)
-    method, control = GeneralizedAlpha(), StepControl(max_step=preset.max_step)
+    method, control = GeneralizedAlpha(), StepControl(*preset.tolerances, preset.max_step)
     schedule = None
     if options.step is not None:
         schedule = fixed_times(options.step, options.until, whole.switch_times)

@@ -77,7 +77,7 @@ def run_case(preset: Preset, case: Case, until: float, quick: bool) -> dict[str,
     points = preset.points_per_segment if quick else POINTS[case.strength]
     contact = dataclasses.replace(contact, law=law, points_per_segment=points)
     whole = dataclasses.replace(whole, contact=contact)
-    control = StepControl(max_step=case.max_step * preset.max_step)
+    control = StepControl(*preset.tolerances, case.max_step * preset.max_step)
     began = time.perf_counter()
     run = simulate.adaptive_rollout(whole, start(whole), until, control=control, throw=False)
     seconds = time.perf_counter() - began

@@ -412,8 +412,8 @@ def test_ledger_balances_while_strands_push_each_other_apart(hairpin):
     """Contact is where the motion's energy comes from."""
     state = start(hairpin)
     errors = []
-    for steps in (50, 100):
-        book = energy.ledger(hairpin, run_over(hairpin, state, 0.5, steps, 100))
+    for steps in (200, 400):
+        book = energy.ledger(hairpin, run_over(hairpin, state, 0.5, steps, 400))
         assert book.contact_work[-1] < 0
         errors.append(float(jnp.max(jnp.abs(book.residual))) / -float(book.contact_work[-1]))
     assert errors[1] < 1e-3
