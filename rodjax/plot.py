@@ -142,8 +142,10 @@ def snapshots(
 ) -> "Figure":
     """One row a state, to one scale, coloured by strain-energy density (Fig. 7 of the paper).
 
+    Shapes that are taller than wide stand side by side instead.
+
     Args:
-        states: states to draw, top to bottom.
+        states: states to draw, in order.
         densities: strain-energy density of the elements of each, Eq. (4) [N].
         magnify: how much thicker than they are the tubes are drawn; the title says so.
         stripe_first: draw the twist stripe on the first.
@@ -171,11 +173,18 @@ def snapshots(
     bright = ListedColormap(colormaps["turbo"](np.linspace(0.1, 0.92, 256)))
     colors = ScalarMappable(LogNorm(bottom, top), bright)  # so that a black stripe shows
     width = 10.0
-    inches = 0.86 * width * sum(heights) / (right - left) + 0.42 * len(states) + 1.0
-    figure = Figure(figsize=(width, inches), layout="constrained")
-    rows = figure.subplots(
-        len(states), 1, sharex=True, squeeze=False, gridspec_kw={"height_ratios": heights}
-    )[:, 0]
+    if sum(heights) > 1.5 * len(states) * (right - left):
+        low, high = [min(low)] * len(states), [max(high)] * len(states)
+        heights = [b - a for a, b in zip(low, high, strict=True)]
+        inches = 0.8 * width * heights[0] / (len(states) * (right - left)) + 1.2
+        figure = Figure(figsize=(width, inches), layout="constrained")
+        rows = figure.subplots(1, len(states), sharey=True, squeeze=False)[0]
+    else:
+        inches = 0.86 * width * sum(heights) / (right - left) + 0.42 * len(states) + 1.0
+        figure = Figure(figsize=(width, inches), layout="constrained")
+        rows = figure.subplots(
+            len(states), 1, sharex=True, squeeze=False, gridspec_kw={"height_ratios": heights}
+        )[:, 0]
     for index, (axes, state, density) in enumerate(zip(rows, states, densities, strict=True)):
         tube(
             axes,
@@ -192,7 +201,7 @@ def snapshots(
         axes.spines[["top", "right"]].set_visible(False)
         axes.tick_params(labelsize=8)
         axes.locator_params(axis="y", nbins=max(2, int(12 * heights[index] / (right - left)) + 1))
-    rows[-1].set_xlabel(f"along the page [{units.length}]; the end s = 0 is on the right")
+    figure.supxlabel(f"along the page [{units.length}]; the end s = 0 is on the right", fontsize=10)
     figure.supylabel(f"up the page [{units.length}]", fontsize=10)
     bar = figure.colorbar(colors, ax=list(rows), fraction=0.03, pad=0.01)
     bar.set_label(f"strain energy density [{units.energy}/{units.length}]")

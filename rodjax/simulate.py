@@ -171,7 +171,7 @@ class StepControl(eqx.Module):
     Args:
         relative, absolute: tolerances.
         first_step, max_step, min_step: [time]; max_step None means a hundredth of the run,
-            first_step None a tenth of max_step, min_step None 1e-9 of max_step.
+            first_step None a thousandth of max_step, min_step None 1e-9 of it.
     """
 
     relative: Float[Array, ""] = eqx.field(converter=lambda x: jnp.asarray(x, float), default=0.01)
@@ -345,7 +345,7 @@ def _memory(control: StepControl, span: float, dtype, resume: Control | None = N
     min_step = as_array(min_step if control.min_step is None else control.min_step)
     if resume is not None:
         return Control(as_array(resume.dt), as_array(resume.growth), max_step, min_step)
-    first = 0.1 * max_step if control.first_step is None else control.first_step
+    first = 1e-3 * max_step if control.first_step is None else control.first_step
     return Control(as_array(first), as_array(2.0), max_step, min_step)
 
 
