@@ -18,6 +18,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import _settings  # noqa: F401 (first)
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -33,8 +34,6 @@ from rodjax.results import MESSAGES, Result
 from rodjax.scene import Scene
 from rodjax.simulate import Run, StepControl
 from rodjax.state import State
-
-jax.config.update("jax_enable_x64", True)
 
 CHUNK = 20  # accepted steps between two looks at the progress
 SNAPSHOT_TIMES = (20.0, 25.0, 29.0, 32.0)

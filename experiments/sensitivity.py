@@ -14,20 +14,18 @@ import time
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import _settings  # noqa: F401 (first)
+import equinox as eqx
 import jax
+import jax.numpy as jnp
+import matplotlib.pyplot as plt
+import numpy as np
+from example import PRESETS, Preset, scene
 
-jax.config.update("jax_enable_x64", True)
-
-import equinox as eqx  # noqa: E402
-import jax.numpy as jnp  # noqa: E402
-import matplotlib.pyplot as plt  # noqa: E402
-import numpy as np  # noqa: E402
-from example import PRESETS, Preset, scene  # noqa: E402
-
-from rodjax import contact_forces, energy, measures, simulate  # noqa: E402
-from rodjax.consistency import start  # noqa: E402
-from rodjax.results import Result  # noqa: E402
-from rodjax.simulate import StepControl  # noqa: E402
+from rodjax import contact_forces, energy, measures, simulate
+from rodjax.consistency import start
+from rodjax.results import Result
+from rodjax.simulate import StepControl
 
 # closer strands need closer points (see `Contact.points_per_segment`)
 POINTS = {0.1: 12, 1.0: 4, 10.0: 4}

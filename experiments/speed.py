@@ -15,27 +15,26 @@ import time
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import _settings  # noqa: F401 (first)
+import equinox as eqx
 import jax
+import jax.numpy as jnp
+import matplotlib.pyplot as plt
+import numpy as np
+import scipy.interpolate
+import scipy.linalg
+from example import PRESETS, contact_law, scene
 
-jax.config.update("jax_enable_x64", True)
+from rodjax import consistency, simulate
+from rodjax.block_tridiagonal import BlockTridiagonal
+from rodjax.coupled import find_nearby
+from rodjax.ends import Clamped
+from rodjax.loads import MorisonDrag
+from rodjax.rod import circular_section, curved_rod, straight_rod
+from rodjax.scene import Scene
+from rodjax.step import StepEquations, step
+
 jax.config.update("jax_enable_compilation_cache", False)
-
-import equinox as eqx  # noqa: E402
-import jax.numpy as jnp  # noqa: E402
-import matplotlib.pyplot as plt  # noqa: E402
-import numpy as np  # noqa: E402
-import scipy.interpolate  # noqa: E402
-import scipy.linalg  # noqa: E402
-from example import PRESETS, contact_law, scene  # noqa: E402
-
-from rodjax import consistency, simulate  # noqa: E402
-from rodjax.block_tridiagonal import BlockTridiagonal  # noqa: E402
-from rodjax.coupled import find_nearby  # noqa: E402
-from rodjax.ends import Clamped  # noqa: E402
-from rodjax.loads import MorisonDrag  # noqa: E402
-from rodjax.rod import circular_section, curved_rod, straight_rod  # noqa: E402
-from rodjax.scene import Scene  # noqa: E402
-from rodjax.step import StepEquations, step  # noqa: E402
 
 STEP = 0.05  # [s], about what the example takes while it intertwines
 

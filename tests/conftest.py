@@ -3,6 +3,9 @@
 import importlib.metadata
 import os
 
+# the solves are small: LAPACK's threads would only compete with the tests of the other worker
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
 # most of the tests' time is compilation: see rodjax/compilation.py (the flag went with 0.12)
 if tuple(map(int, importlib.metadata.version("jaxlib").split(".")[:2])) < (0, 12):
     flags = os.environ.get("XLA_FLAGS", "")
