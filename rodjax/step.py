@@ -45,7 +45,8 @@ class StepInfo(NamedTuple):
 def no_info(dtype) -> StepInfo:
     """A report of zeros, in the types of a step's."""
     number, integer = jnp.zeros((), dtype), jnp.zeros((), jnp.int32)
-    return StepInfo(integer, integer, *[number] * 7, jnp.asarray(False))
+    numbers = (number, number, number, number, number, number, number)
+    return StepInfo(integer, integer, *numbers, jnp.asarray(False))
 
 
 # Steps after a constraint began that are taken with spectral radius 0: its shock excites modes
