@@ -27,7 +27,7 @@ from example import FROM_PAPER, LOADING_AXIS, PRESETS, Preset, scene
 from jax import lax
 from tqdm import tqdm
 
-from rodjax import contact_forces, energy, measures, plot, simulate, storage
+from rodjax import energy, measures, plot, simulate, storage
 from rodjax.consistency import start
 from rodjax.generalized_alpha import GeneralizedAlpha
 from rodjax.results import MESSAGES, Result
@@ -201,15 +201,10 @@ def measure(scene: Scene, run: Run) -> Measured:
 
         return lax.map(one, states)
 
-    @eqx.filter_jit
-    def contacts(scene, states):
-        def one(s):
-            found = contact_forces.report(scene.contact, scene.rod, s.position, s.velocity)
-            return found.total, found.smallest
-
-        return lax.map(one, states)
-
-    touching = (None, None) if scene.contact is None else contacts(scene, run.states)
+    touching = (None, None)
+    if scene.contact is not None:
+        found = measures.contacts(scene, run)
+        touching = found.total, found.smallest
     return Measured(
         energy.ledger(scene, run),
         measures.linking(scene, run),

@@ -16,13 +16,12 @@ from typing import Any, NamedTuple
 
 import _settings  # noqa: F401 (first)
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import matplotlib.pyplot as plt
 import numpy as np
 from example import PRESETS, Preset, scene
 
-from rodjax import contact_forces, energy, measures, simulate
+from rodjax import energy, measures, simulate
 from rodjax.consistency import start
 from rodjax.results import Result
 from rodjax.simulate import StepControl
@@ -81,12 +80,7 @@ def run_case(preset: Preset, case: Case, until: float, quick: bool) -> dict[str,
     seconds = time.perf_counter() - began
     linking = measures.linking(whole, run)
     times = np.asarray(run.times)
-    torsion = np.asarray(energy.ledger(whole, run).torsion)
-
-    @eqx.filter_jit
-    def gaps(scene, states):
-        one = lambda s: contact_forces.report(scene.contact, scene.rod, s.position, s.velocity)
-        return jax.lax.map(lambda s: one(s).smallest, states)
+    torsion = energy.ledger(whole, run).torsion
 
     top = int(np.argmax(torsion))
     buckled = top < len(times) - 1
@@ -98,8 +92,8 @@ def run_case(preset: Preset, case: Case, until: float, quick: bool) -> dict[str,
         "newton_iterations": int(np.sum(run.infos.iterations)),
         "seconds_with_compilation": seconds,
         "linking_error_max": float(jnp.max(jnp.abs(linking.error))),
-        "smallest_gap": float(np.min(gaps(whole, run.states))),
-        "buckling_time": peak(times, torsion) if buckled else None,
+        "smallest_gap": float(jnp.min(measures.contacts(whole, run).smallest)),
+        "buckling_time": float(measures.time_of_maximum(run.times, torsion)) if buckled else None,
         "writhe_at": {
             f"{t:g}": float(np.interp(t, times, linking.writhe)) if t <= times[-1] else None
             for t in TIMES
@@ -107,15 +101,6 @@ def run_case(preset: Preset, case: Case, until: float, quick: bool) -> dict[str,
         "times": times.tolist(),
         "writhe": np.asarray(linking.writhe).tolist(),
     }
-
-
-def peak(times: np.ndarray, values: np.ndarray) -> float:
-    """Time of the largest value, by the parabola through it and its neighbours."""
-    i = int(np.argmax(values))
-    if not 0 < i < len(times) - 1:
-        return float(times[i])
-    a, b, _ = np.polyfit(times[i - 1 : i + 2] - times[i], values[i - 1 : i + 2] / values[i], 2)
-    return float(times[i] - b / (2 * a))
 
 
 def draw(found: list[dict[str, Any]], out: Path) -> None:

@@ -10,7 +10,8 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Float
 
-from rodjax import balance, energy, rotations, topology
+from rodjax import balance, contact_forces, energy, rotations, topology
+from rodjax.contact_forces import ContactReport
 from rodjax.ends import Turn
 from rodjax.rod import Rod
 from rodjax.scene import Scene
@@ -110,6 +111,20 @@ def linking(scene: Scene, run: Run, extension: float | None = None) -> Linking:
 def _topology(rod, states, extension):
     one = lambda s: (twist(s), twist_eq15(rod, s), writhe(s, extension))
     return lax.map(one, states)
+
+
+@eqx.filter_jit
+def contacts(scene: Scene, run: Run) -> ContactReport:
+    """Contact forces, their sum and the smallest gap at every saved time.
+
+    Raises:
+        ValueError: the scene has no contact.
+    """
+    contact = scene.contact
+    if contact is None:
+        raise ValueError("scene: it has no contact to report")
+    one = lambda s: contact_forces.report(contact, scene.rod, s.position, s.velocity)
+    return lax.map(one, run.states)
 
 
 def stretch_error(rod: Rod, state: State) -> Float[Array, ""]:

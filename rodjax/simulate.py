@@ -232,10 +232,10 @@ def adaptive_rollout(
 
     Steps end exactly on the times at which a constraint or a drive's rate changes (and a
     constraint that begins at `end_time` itself is left to the run resumed from there). The loop
-    is compiled once and
-    called for `chunk` accepted steps at a time; `on_chunk(part)` is called after each, for
-    progress and storage, with a `Run` of its accepted steps (its states lack the start, its
-    counts are those so far; see `join_runs`). Not differentiable itself: replay `run.times[1:]`
+    is compiled once and called for `chunk` accepted steps at a time; `on_chunk(part)` is called
+    after each, for progress and storage, with a `Run` of its accepted steps (its states lack the
+    start, its counts are those so far; see `join_runs`). Not differentiable itself: replay
+    `run.times[1:]`
     by `rollout`, whose derivative is exact for that schedule. `compile_adaptive_rollout` compiles
     the loop beforehand.
 
