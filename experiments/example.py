@@ -133,7 +133,7 @@ def contact_law(preset: Preset) -> Contact:
     ripple under 2 % at the distance where the strands settle.
     """
     return Contact(
-        DampedInversePower(),
+        DampedInversePower(k1=1e-7, k2=3.0, k3=1e-6, k4=1.0, reference_spacing=1e-3),
         segments=preset.contact_segments,
         points_per_segment=preset.points_per_segment,
         cutoff=preset.cutoff,

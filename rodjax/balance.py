@@ -100,26 +100,6 @@ def _kinematic_maps(kinematics: Strains):
     return a, jnp.concatenate([0.5 * eye - turn, 0.5 * eye + turn], 2)
 
 
-def stretch_rate(
-    rod: Rod,
-    position: Float[Array, "nodes 3"],
-    quaternion: Float[Array, "nodes 4"],
-    rate: Float[Array, "nodes 6"],
-) -> Float[Array, "n 3"]:
-    """d gamma / dt for velocities (inertial) and angular velocities (body) of the nodes.
-
-    E^T (v_{i+1} - v_i) / ds + gamma x omega_e with omega_e = N omega_{i+1} + N^T omega_i.
-    """
-    kinematics = strains(rod, position, quaternion)
-    phi = kinematics.rotation
-    first, second = rate[:-1, 3:], rate[1:, 3:]
-    squared = jnp.sum(phi * phi, -1, keepdims=True)
-    turn = rotations.midframe_coefficient(squared) * jnp.cross(phi, second - first)
-    spin = 0.5 * (first + second) + turn
-    edge = (rate[1:, :3] - rate[:-1, :3]) / rod.length[:, None]
-    return jnp.einsum("nji,nj->ni", kinematics.frame, edge) + jnp.cross(kinematics.stretch, spin)
-
-
 def constraint_tangent(rod: Rod, kinematics: Strains) -> ElementTangent:
     """The tangent at zero internal force and moment: the constraint and its transpose alone.
 

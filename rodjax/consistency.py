@@ -6,7 +6,7 @@ that begins during a run, is first order or fails without them.
 
 import dataclasses
 
-import jax
+import equinox as eqx
 import jax.core
 import jax.numpy as jnp
 import numpy as np
@@ -20,7 +20,7 @@ from rodjax.compilation import compiled
 from rodjax.loads import NodeMotion, total_wrench
 from rodjax.scene import Scene, projectors
 from rodjax.state import State
-from rodjax.strains import relative_rotation, strains
+from rodjax.strains import Strains, relative_rotation, strains
 
 
 def start(
@@ -36,7 +36,8 @@ def start(
 
     Args:
         position, quaternion: configuration; the rod's own placing by default. Without compliance
-            it must be unstretched (each edge along its element frame with the rest length).
+            it must be unstretched (each edge along its element frame with the rest length). Of
+            given frames an element's two are taken to be less than half a turn apart.
         velocity: v in inertial components [m/s]; zero by default.
         angular_velocity: omega in body components [rad/s]; zero by default.
 
@@ -62,6 +63,11 @@ def start(
         if not isinstance(array, jax.core.Tracer) and not np.all(np.isfinite(array)):
             raise ValueError(f"{name}: must be finite everywhere")
         arrays[name] = array
+    if quaternion is not None:
+        # q and -q are one frame, but neighbours of opposite sign would count as a turn apart
+        turned = jnp.sum(arrays["quaternion"][1:] * arrays["quaternion"][:-1], 1) < 0
+        sign = jnp.cumprod(jnp.where(turned, -1.0, 1.0)).astype(dtype)
+        arrays["quaternion"] = arrays["quaternion"].at[1:].multiply(sign[:, None])
     state = State(
         jnp.asarray(time, dtype),
         arrays["position"],
@@ -79,7 +85,102 @@ def start(
             f"position: stretched or sheared by {float(gap):.2g} at most, but the rod is"
             " inextensible: place nodes at rest length along the element frames"
         )
+    _check_start(new)
     return new
+
+
+def _check_start(state: State) -> None:
+    """Raise ValueError where no consistent start was found (outside traced code only)."""
+    for name in ("rate", "acceleration", "force"):
+        value = getattr(state, name)
+        if not isinstance(value, jax.core.Tracer) and not np.all(np.isfinite(value)):
+            raise ValueError(
+                f"first_end, last_end: no unique {name} of the start; the ends hold the rod twice"
+                " in some direction (a straight inextensible rod between two clamps): let one"
+                " slide, or give the rod compliance"
+            )
+
+
+class _Constrained(eqx.Module):
+    """The mass matrix of a configuration, bordered by the constraints of elements and ends."""
+
+    scene: Scene
+    state: State
+    kinematics: Strains
+    rigid: Float[Array, "n 3"]  # 0 where the element is compliant
+    projectors: Float[Array, "2 6 6"]
+    scales: Scales
+    blocks: BlockTridiagonal
+
+    @classmethod
+    def of(cls, scene: Scene, state: State) -> "_Constrained":
+        """Of the constraints from `state.time` on."""
+        rod, both = scene.rod, projectors(scene, state.time)
+        kinematics = strains(rod, state.position, state.quaternion)
+        rigid = jnp.ones_like(kinematics.stretch)
+        if rod.compliance is not None:
+            rigid = jnp.where(rod.compliance > 0, 0.0, 1.0)
+        matrix = _inertia_matrix(scene, state)
+        scales = Scales(jnp.mean(rod.length), jnp.mean(matrix[:, 0, 0]) * jnp.mean(rod.length))
+        tangent = balance.constraint_tangent(rod, kinematics)
+        blocks = _release(balance.assemble(rod, tangent, matrix, tuple(both), scales), rigid)
+        return cls(scene, state, kinematics, rigid, both, scales, blocks)
+
+    def solve(self, wrench, constraint, prescribed):
+        """Rates (n+1, 6) and multipliers (n, 3) for balance, constraint and end right sides."""
+        scales = self.scales
+        scale = jnp.repeat(jnp.stack([scales.force, scales.force * scales.length]), 3)
+        unit = jnp.repeat(jnp.stack([scales.length, jnp.ones_like(scales.length)]), 3)
+        right = wrench / scale
+        for index, projector in zip((0, -1), self.projectors, strict=True):
+            row = right[index] + projector @ (prescribed[index] / unit - right[index])
+            right = right.at[index].set(row)
+        pad = jnp.zeros_like(constraint[:1])
+        b = jnp.concatenate([jnp.concatenate([pad, constraint]), right], 1)
+        x = _refined_solve(self.blocks, b)
+        return jnp.concatenate([x[:, :3] * scales.length, x[:, 6:]], 1), x[1:, 3:6] * scales.force
+
+    def stretch_derivatives(self, rate, acceleration, order):
+        """See `_stretch_derivatives`."""
+        return _stretch_derivatives(
+            self.scene.rod, self.state.quaternion, self.kinematics, rate, acceleration, order
+        )
+
+    def prescribed(self, motion) -> tuple:
+        """What both ends prescribe: `motion` is `ends.rates` or `ends.jerk`."""
+        both = zip((0, -1), self.scene.ends, strict=True)
+        return tuple(motion(end, self.state.time, self.state.quaternion[i]) for i, end in both)
+
+    def moving(self, rate) -> NodeMotion:
+        """The nodes with these rates."""
+        state = self.state
+        return NodeMotion(state.time, state.position, state.quaternion, rate[:, :3], rate[:, 3:])
+
+    def project(self) -> tuple[Float[Array, "nodes 6"], Float[Array, ""]]:
+        """Rates nearest to the state's that obey the constraints, and the energy lost [J].
+
+        M dV + J^T p = 0 with J (V + dV) = 0 and the ends' velocities.
+        """
+        rate, still = self.state.rate, jnp.zeros_like(self.state.rate)
+        gap = tuple(
+            velocity - rate[index]
+            for index, (velocity, _) in zip((0, -1), self.prescribed(ends.rates), strict=True)
+        )
+        stretching = self.stretch_derivatives(rate, still, 1)[0]
+        new = rate + self.solve(still, -self.rigid * stretching, gap)[0]
+        energy = lambda rate: inertia.kinetic_energy(self.scene, self.moving(rate))
+        return new, energy(rate) - energy(new)
+
+
+def project(scene: Scene, state: State) -> tuple[State, Float[Array, ""]]:
+    """The state with velocities that agree with the constraints, and the energy lost [J].
+
+    Of a rod without inertia, whose velocities follow from the forces, it is `restart`.
+    """
+    if scene.rod.mass is None:
+        return restart(scene, state)
+    rate, loss = _Constrained.of(scene, state).project()
+    return dataclasses.replace(state, rate=rate), loss
 
 
 def restart(
@@ -87,100 +188,54 @@ def restart(
 ) -> tuple[State, Float[Array, ""]]:
     """The state with consistent velocities, accelerations and forces, and the energy lost [J].
 
-    Velocities: M dV + J^T p = 0 with J (V + dV) = 0 and the ends' velocities; then accelerations
-    and forces: M V' + J^T f = loads - internal - gyroscopic, J V' = -J' V, the ends' accelerations;
+    Velocities are projected; then accelerations and forces are those of
+    M V' + J^T f = loads - internal - gyroscopic, J V' = -J' V, the ends' accelerations;
     `with_jerk` also the part of V'' normal to the constraints: M V'' + J^T p = 0,
     J V'' = -J'' V - 2 J' V' and the ends' own (see `generalized_alpha.opening`).
     """
-    rod = scene.rod
-    both = projectors(scene, state.time)
-    kinematics = strains(rod, state.position, state.quaternion)
-    tangent = balance.constraint_tangent(rod, kinematics)
-    rigid = jnp.ones_like(kinematics.stretch)
-    if rod.compliance is not None:
-        rigid = jnp.where(rod.compliance > 0, 0.0, 1.0)
-    matrix = _inertia_matrix(scene, state)
-    scales = Scales(jnp.mean(rod.length), jnp.mean(matrix[:, 0, 0]) * jnp.mean(rod.length))
-    blocks = _release(balance.assemble(rod, tangent, matrix, tuple(both), scales), rigid)
-
-    def solve(wrench, constraint, prescribed):
-        """Rates (n+1, 6) and multipliers (n, 3) for balance, constraint and end right sides."""
-        scale = jnp.repeat(jnp.stack([scales.force, scales.force * scales.length]), 3)
-        unit = jnp.repeat(jnp.stack([scales.length, jnp.ones_like(scales.length)]), 3)
-        right = wrench / scale
-        for index, projector in zip((0, -1), both, strict=True):
-            row = right[index] + projector @ (prescribed[index] / unit - right[index])
-            right = right.at[index].set(row)
-        pad = jnp.zeros_like(constraint[:1])
-        b = jnp.concatenate([jnp.concatenate([pad, constraint]), right], 1)
-        refine = lambda _, x: x + blocks.solve(b - blocks.multiply(x[:, :, None])[:, :, 0])
-        x = lax.fori_loop(0, 2, refine, jnp.zeros_like(b))
-        return jnp.concatenate([x[:, :3] * scales.length, x[:, 6:]], 1), x[1:, 3:6] * scales.force
-
-    def constraint_rate(rate):
-        """d gamma / dt of a motion with these rates, and its own rate at constant rates."""
-        spin = jnp.concatenate([jnp.zeros_like(rate[:, :1]), 0.5 * rate[:, 3:]], 1)
-        turning = rotations.multiply(state.quaternion, spin)
-        return jax.jvp(
-            lambda r, q: balance.stretch_rate(rod, r, q, rate),
-            (state.position, state.quaternion),
-            (rate[:, :3], turning),
-        )
-
-    motions = [
-        ends.rates(end, state.time, state.quaternion[index])
-        for index, end in zip((0, -1), scene.ends, strict=True)
-    ]
+    rod, system = scene.rod, _Constrained.of(scene, state)
     internal = balance.internal(rod, state.position, state.quaternion, jnp.zeros_like(state.force))
-    elastic = jnp.concatenate([internal.force, internal.moment], 1)
-    motion = NodeMotion(
-        state.time, state.position, state.quaternion, state.velocity, state.angular_velocity
-    )
     given = jnp.zeros_like(state.force)
     if rod.compliance is not None:
         axial = jnp.asarray([0.0, 0.0, 1.0], given.dtype)
         give = jnp.where(rod.compliance > 0, rod.compliance, 1.0)
-        given = jnp.where(rod.compliance > 0, (kinematics.stretch - axial) / give, 0.0)
-
-    if rod.mass is None:
-        still = motion._replace(
-            velocity=jnp.zeros_like(motion.velocity),
-            angular_velocity=jnp.zeros_like(motion.angular_velocity),
-        )
-        wrench = total_wrench(scene.loads, rod, still) - elastic
-        rate, force = solve(wrench, given / scales.force, (motions[0][0], motions[1][0]))
-        zero = jnp.zeros_like(rate)
-        new = dataclasses.replace(state, rate=rate, acceleration=zero, auxiliary=zero, force=force)
-        return new, jnp.zeros_like(state.time)
-
-    before = inertia.kinetic_energy(scene, motion)
-    gap = [m[0] - state.rate[i] for i, m in zip((0, -1), motions, strict=True)]
-    change, _ = solve(
-        jnp.zeros_like(state.rate), -rigid * constraint_rate(state.rate)[0], tuple(gap)
-    )
-    rate = state.rate + change
-    motion = motion._replace(velocity=rate[:, :3], angular_velocity=rate[:, 3:])
-    after = inertia.kinetic_energy(scene, motion)
-    wrench = -elastic - inertia.inertial_wrench(scene, motion, jnp.zeros_like(rate))
+        given = jnp.where(rod.compliance > 0, (system.kinematics.stretch - axial) / give, 0.0)
+        given = given / system.scales.force
+    still = jnp.zeros_like(state.rate)
+    rate, loss = (still, jnp.zeros_like(state.time)) if rod.mass is None else system.project()
+    motion = system.moving(rate)
+    wrench = _contact_wrench(scene, motion)
+    wrench = wrench - jnp.concatenate([internal.force, internal.moment], 1)
     if scene.loads:
         wrench = wrench + total_wrench(scene.loads, rod, motion)
-    if scene.contact is not None:
-        pushed = contact_forces.report(scene.contact, rod, state.position, motion.velocity).force
-        wrench = wrench.at[:, :3].add(pushed)
-    right = jnp.where(rigid > 0, -constraint_rate(rate)[1], given / scales.force)
-    acceleration, force = solve(wrench, right, (motions[0][1], motions[1][1]))
+    velocities, accelerations = zip(*system.prescribed(ends.rates), strict=True)
+
+    if rod.mass is None:
+        rate, force = system.solve(wrench, given, velocities)
+        new = dataclasses.replace(
+            state, rate=rate, acceleration=still, auxiliary=still, force=force
+        )
+        return new, loss
+
+    wrench = wrench - inertia.inertial_wrench(scene, motion, still)
+    right = jnp.where(system.rigid > 0, -system.stretch_derivatives(rate, still, 2)[1], given)
+    acceleration, force = system.solve(wrench, right, accelerations)
     new = dataclasses.replace(
         state, rate=rate, acceleration=acceleration, auxiliary=acceleration, force=force
     )
     if with_jerk:
-        prescribed = tuple(
-            ends.jerk(end, state.time, state.quaternion[index])
-            for index, end in zip((0, -1), scene.ends, strict=True)
-        )
-        right = -rigid * _stretch_jerk(rod, state.quaternion, kinematics, rate, acceleration)
-        jerk, _ = solve(jnp.zeros_like(rate), right, prescribed)
+        right = -system.rigid * system.stretch_derivatives(rate, acceleration, 3)[2]
+        jerk, _ = system.solve(still, right, system.prescribed(ends.jerk))
         new = dataclasses.replace(new, jerk=jerk)
-    return new, before - after
+    return new, loss
+
+
+def _contact_wrench(scene: Scene, motion: NodeMotion) -> Float[Array, "nodes 6"]:
+    """What contact exerts on the nodes."""
+    if scene.contact is None:
+        return jnp.zeros((*motion.position.shape[:1], 6), motion.position.dtype)
+    force = contact_forces.report(scene.contact, scene.rod, motion.position, motion.velocity).force
+    return jnp.concatenate([force, jnp.zeros_like(force)], 1)
 
 
 @compiled
@@ -197,43 +252,70 @@ def compiled_restart(
     return new, lost, jnp.max(jnp.abs(gap))
 
 
-def _stretch_jerk(rod, quaternion, kinematics, rate, acceleration) -> Float[Array, "n 3"]:
-    """Third derivative of gamma in a motion of these rates and constant accelerations.
+def _stretch_derivatives(
+    rod, quaternion, kinematics, rate, acceleration, order
+) -> list[Float[Array, "n 3"]]:
+    """First derivatives in time, up to `order` <= 3, of gamma in a motion of these accelerations.
 
-    By the product rule from gamma' = E^T dv/ds - omega_e x gamma and E' = E [omega_e x], which
-    compiles in a fraction of the time of two derivatives of `balance.stretch_rate`.
+    By the product rule from gamma' = E^T dv/ds - omega_e x gamma and E' = E [omega_e x], with
+    omega_e = (omega_i + omega_{i+1})/2 + u x (omega_{i+1} - omega_i), u = p/(2 (1 + w)),
+    (w, p) = r = q_i^-1 q_{i+1} and r' = (r omega_{i+1} - omega_i r)/2.
     """
-
-    def element_spin(t):
-        """omega_e = (omega_i + omega_{i+1})/2 + u x (omega_{i+1} - omega_i), u = p/(2 (1 + w)).
-
-        (w, p) = q_i^-1 q_{i+1}; the same as in `balance.stretch_rate`, without logarithms.
-        """
-        turn = t * rate[:, 3:] + 0.5 * t**2 * acceleration[:, 3:]
-        # the exponential map to second order
-        real = 1 - 0.125 * jnp.sum(turn**2, 1, keepdims=True)
-        turned = rotations.multiply(quaternion, jnp.concatenate([real, 0.5 * turn], 1))
-        relative = relative_rotation(turned)
-        spin = rate[:, 3:] + t * acceleration[:, 3:]
-        change = jnp.cross(0.5 * relative[:, 1:] / (1 + relative[:, :1]), spin[1:] - spin[:-1])
-        return 0.5 * (spin[:-1] + spin[1:]) + change
-
-    now = jnp.zeros((), rate.dtype)
-    derivative = lambda f: lambda t: jax.jvp(f, (t,), (jnp.ones_like(t),))
-    (spin, spin1), (_, spin2) = derivative(derivative(element_spin))(now)
+    cross = jnp.cross
     across = lambda v: jnp.einsum(
         "nji,nj->ni", kinematics.frame, (v[1:, :3] - v[:-1, :3]) / rod.length[:, None]
     )
-    stretch, edge, edge_pull = kinematics.stretch, across(rate), across(acceleration)
-    edge1 = edge_pull - jnp.cross(spin, edge)
-    edge2 = -jnp.cross(spin, edge_pull) - jnp.cross(spin1, edge) - jnp.cross(spin, edge1)
-    stretch1 = edge - jnp.cross(spin, stretch)
-    stretch2 = edge1 - jnp.cross(spin1, stretch) - jnp.cross(spin, stretch1)
-    return (
-        edge2
-        - jnp.cross(spin2, stretch)
-        - 2 * jnp.cross(spin1, stretch1)
-        - jnp.cross(spin, stretch2)
+    pure = lambda v: jnp.concatenate([jnp.zeros_like(v[:, :1]), v], 1)
+    mean = lambda v: 0.5 * (v[:-1, 3:] + v[1:, 3:])
+    jump = lambda v: v[1:, 3:] - v[:-1, 3:]
+    before = lambda v, r: rotations.multiply(pure(v[:-1, 3:]), r)
+    after = lambda r, v: rotations.multiply(r, pure(v[1:, 3:]))
+
+    relative = relative_rotation(quaternion)
+    over = 2 * (1 + relative[:, :1])
+    u = relative[:, 1:] / over
+    spin = mean(rate) + cross(u, jump(rate))
+    stretch, edge = kinematics.stretch, across(rate)
+    stretch1 = edge - cross(spin, stretch)
+    if order == 1:
+        return [stretch1]
+
+    relative1 = 0.5 * (after(relative, rate) - before(rate, relative))
+    over1 = 2 * relative1[:, :1]
+    u1 = (relative1[:, 1:] - u * over1) / over
+    spin1 = mean(acceleration) + cross(u1, jump(rate)) + cross(u, jump(acceleration))
+    pull = across(acceleration)
+    edge1 = pull - cross(spin, edge)
+    stretch2 = edge1 - cross(spin1, stretch) - cross(spin, stretch1)
+    if order == 2:
+        return [stretch1, stretch2]
+
+    relative2 = after(relative1, rate) + after(relative, acceleration)
+    relative2 = 0.5 * (relative2 - before(acceleration, relative) - before(rate, relative1))
+    u2 = (relative2[:, 1:] - 2 * u1 * over1 - 2 * u * relative2[:, :1]) / over
+    spin2 = cross(u2, jump(rate)) + 2 * cross(u1, jump(acceleration))
+    edge2 = -cross(spin, pull) - cross(spin1, edge) - cross(spin, edge1)
+    stretch3 = edge2 - cross(spin2, stretch) - 2 * cross(spin1, stretch1) - cross(spin, stretch2)
+    return [stretch1, stretch2, stretch3]
+
+
+def _refined_solve(blocks: BlockTridiagonal, b: Float[Array, "nodes 9"]):
+    """Solution with one step of iterative refinement, differentiated as a linear solve."""
+
+    def product(matrix, x):
+        return matrix.multiply(x[:, :, None])[:, :, 0]
+
+    def refined(matrix):
+        def solve(_, right):
+            factors = matrix.factorize()
+            once = lambda residual: factors.solve(residual[:, :, None])[:, :, 0]
+            refine = lambda _, x: x + once(right - product(matrix, x))
+            return lax.fori_loop(0, 2, refine, jnp.zeros_like(right))
+
+        return solve
+
+    return lax.custom_linear_solve(
+        lambda x: product(blocks, x), b, refined(blocks), refined(blocks.transpose())
     )
 
 
@@ -272,9 +354,7 @@ def _inertia_matrix(scene: Scene, state: State) -> Float[Array, "nodes 6 6"]:
     else:
         wrench = lambda rate: inertia.inertial_wrench(scene, at_rest, rate)
     matrix = inertia.node_jacobian(wrench, zero)
-    if rod.mass is None or rod.rotary_inertia is None:
-        segment = jnp.trace(matrix[:, :3, :3], axis1=1, axis2=2) / 3 * rod.node_length**2 / 12
-        angular = jnp.diagonal(matrix[:, 3:, 3:], axis1=1, axis2=2)
-        add = jnp.where(angular > 0, 0.0, segment[:, None])
-        matrix = matrix.at[:, 3:, 3:].add(add[:, :, None] * jnp.eye(3, dtype=matrix.dtype))
-    return matrix
+    segment = jnp.trace(matrix[:, :3, :3], axis1=1, axis2=2) / 3 * rod.node_length**2 / 12
+    angular = jnp.diagonal(matrix[:, 3:, 3:], axis1=1, axis2=2)
+    add = jnp.where(angular > 0, 0.0, segment[:, None])
+    return matrix.at[:, 3:, 3:].add(add[:, :, None] * jnp.eye(3, dtype=matrix.dtype))

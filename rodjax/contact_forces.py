@@ -6,7 +6,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jax import lax
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from rodjax.contact import Contact, Sites, interpolate, sites, spread
 from rodjax.contact_laws import PairProperties, continued
@@ -31,7 +31,9 @@ def window(contact: Contact, distance, cosine_a, cosine_b):
     limit = jnp.sin(0.5 * contact.aperture) ** 2
     inside = lambda c: _smooth_step(1 - c**2 / limit)
     # theta = pi is all space: no gate
-    gate = jnp.where(limit > 1 - 1e-12, 1.0, inside(cosine_a) * inside(cosine_b))
+    gate = jnp.where(
+        limit > 1 - 10 * jnp.finfo(limit.dtype).eps, 1.0, inside(cosine_a) * inside(cosine_b)
+    )
     return close * gate
 
 
@@ -221,6 +223,7 @@ class ContactReport(NamedTuple):
     force: Float[Array, "nodes 3"]  # on the nodes [N]
     total: Float[Array, ""]  # sum of the magnitudes of all forces between points [N]
     smallest: Float[Array, ""]  # least d/D of the points that act; infinite without one
+    overflow: Bool[Array, ""]  # pairs were left out: raise the contact's capacities
 
 
 def _report(contact, rod, where, near, position, velocity) -> ContactReport:
@@ -228,7 +231,7 @@ def _report(contact, rod, where, near, position, velocity) -> ContactReport:
     found = pair_forces(contact, where, near, joints, velocities)
     summed = gather(near, found.force, contact.segments + 1)
     nodal = spread(where, summed, rod.elements + 1)
-    return ContactReport(nodal, found.total, found.smallest)
+    return ContactReport(nodal, found.total, found.smallest, near.overflow)
 
 
 def report(

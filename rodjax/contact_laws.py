@@ -36,6 +36,14 @@ def _positive(**values):
             raise ValueError(f"{name}: must be positive and finite, got {value}")
 
 
+def _finite(**values):
+    for name, value in values.items():
+        if isinstance(value, jax.core.Tracer) or not hasattr(value, "shape"):
+            continue
+        if not np.all(np.isfinite(value)):
+            raise ValueError(f"{name}: must be finite, got {value}")
+
+
 class AbstractLaw(eqx.Module):
     """A pair interaction."""
 
@@ -66,18 +74,25 @@ def continued(law: AbstractLaw, distance, approach, pair: PairProperties):
 class DampedInversePower(AbstractLaw):
     """Eq. (13): rho_c A_c (k1 / (d - offset D)^k2 + (k3 / d) c |c|^k4) / reference_spacing.
 
-    The paper's law acts between grid points a `reference_spacing` apart (0.001 m in Table 1);
-    divided by it, and with the points that far apart, this is Eq. (13) as printed. k1 [m^(k2+1)
-    /s^2], k3 [m^(1-k4) s^(k4-1)]. The law is continued by its tangent closer than
-    `gap_floor` D above the pole.
+    The paper's law acts between grid points a `reference_spacing` apart; divided by it, and with
+    the points that far apart, this is Eq. (13) as printed. Table 1, in metres and seconds:
+    k1 = 1e-7, k3 = 1e-6, a spacing of 1e-3, k2 = 3 and k4 = 1.
+
+    Args:
+        k1: strength of the repulsion [m^(k2+1)/s^2].
+        k3: of the damping [m^(1-k4) s^(k4-1)].
+        reference_spacing: [m].
+        k2, k4: exponents.
+        offset: where the pole is, in diameters.
+        gap_floor: closer than so many diameters to the pole the law is continued by its tangent.
     """
 
-    k1: Float[Array, ""] = eqx.field(converter=_as_float, default=1e-7)
+    k1: Float[Array, ""] = eqx.field(converter=_as_float)
+    k3: Float[Array, ""] = eqx.field(converter=_as_float)
+    reference_spacing: Float[Array, ""] = eqx.field(converter=_as_float)
     k2: Float[Array, ""] = eqx.field(converter=_as_float, default=3.0)
-    k3: Float[Array, ""] = eqx.field(converter=_as_float, default=1e-6)
     k4: Float[Array, ""] = eqx.field(converter=_as_float, default=1.0)
     offset: Float[Array, ""] = eqx.field(converter=_as_float, default=0.5)
-    reference_spacing: Float[Array, ""] = eqx.field(converter=_as_float, default=1e-3)
     gap_floor: Float[Array, ""] = eqx.field(converter=_as_float, default=0.01)
 
     def __check_init__(self):
@@ -87,6 +102,7 @@ class DampedInversePower(AbstractLaw):
             reference_spacing=self.reference_spacing,
             gap_floor=self.gap_floor,
         )
+        _finite(k3=self.k3, k4=self.k4, offset=self.offset)
 
     def uses_mass(self):
         return True

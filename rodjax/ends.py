@@ -152,6 +152,9 @@ class Switched(AbstractEnd):
             raise ValueError(
                 "before, after: give the schedules to Switched itself, not to its parts"
             )
+        known = hasattr(self.at, "shape") and not isinstance(self.at, jax.core.Tracer)
+        if known and not np.all(np.isfinite(np.asarray(self.at))):
+            raise ValueError(f"at: must be finite, got {self.at}")
         if any(isinstance(p, Switched) for p in parts[:1]):
             raise ValueError("before: nest a further switch in `after`")
 

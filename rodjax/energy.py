@@ -7,7 +7,6 @@ Every term is integrated for itself, none is a remainder; what the two sides dif
 numerical loss of the time integration plus the error of the quadrature.
 """
 
-import dataclasses
 from typing import NamedTuple
 
 import equinox as eqx
@@ -22,7 +21,7 @@ from rodjax.rod import Rod
 from rodjax.scene import Scene, projectors
 from rodjax.simulate import Run
 from rodjax.state import State
-from rodjax.step import nodal_balance
+from rodjax.step import free_balance
 from rodjax.strains import curvature, strains
 
 
@@ -99,8 +98,7 @@ def _unbalanced_ends(
     scene: Scene, state: State, from_contact: Float[Array, "nodes 6"] | None
 ) -> Float[Array, "2 6"]:
     """Inertia + internal - external wrench of the two end nodes: what the ends must supply."""
-    alone = dataclasses.replace(scene, contact=None)
-    wrench, _ = nodal_balance(alone, node_motion(state), state.acceleration, state.force)
+    wrench, _ = free_balance(scene, node_motion(state), state.acceleration, state.force)
     if from_contact is not None:
         wrench = wrench - from_contact
     return jnp.stack([wrench[0], wrench[-1]])

@@ -10,7 +10,7 @@ equilibrium already stays one; a rod placed at rest sees its loads grow from zer
 method fails the path's step is halved.
 """
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -153,6 +153,13 @@ class StaticEquations(eqx.Module):
 
     def retract(self, x, dx):
         return x + self.lift(x, dx)
+
+    def overflow(self, x) -> Int[Array, ""]:
+        """A code that tells whether pairs in contact were left out."""
+        if self.scene.contact is None:
+            return jnp.asarray(Result.SUCCESS, jnp.int32)
+        near = find_nearby(self.scene, self.motion(x).position).near
+        return jnp.where(near.overflow, Result.CAPACITY_OVERFLOW, Result.SUCCESS).astype(jnp.int32)
 
     def limit(self, x, dx):
         """No node may turn by more than `max_rotation` in an iteration, no strands pass."""
@@ -318,45 +325,24 @@ def equilibrium(
 
 @eqx.filter_jit
 def _equilibrium(scene, state, stop, load_steps, tolerance, max_iterations, max_rotation):
-    fixed, start, end = _constant((scene, state, stop))
+    fixed, start, end = newton.constant((scene, state, stop))
     path = _follow(fixed, start, end, load_steps, tolerance, max_iterations, max_rotation)
     time = state.time + path.reached * (stop - state.time)
     ramp = Ramp(path.reached, _imbalance(scene, state))
     position, quaternion = path.reference
     equations = StaticEquations(scene, state, position, quaternion, time, max_rotation, ramp)
-    x = _root(equations, path.x)
+    x = newton.root(equations, path.x)
     motion = equations.motion(x)
     zero = jnp.zeros_like(state.rate)
     quaternion = rotations.normalize(motion.quaternion)
     new = State(time, motion.position, quaternion, zero, zero, zero, equations.force(x))
-    return new, EquilibriumInfo(*path[-5:])
-
-
-@eqx.filter_custom_jvp
-def _root(equations, x):
-    """The root x of the equations, with its derivative by them (see `newton.solve`)."""
-    return x
-
-
-@_root.def_jvp
-def _root_jvp(primals, tangents):
-    equations, x = primals
-    x = _root(equations, x)
-    _, dr = eqx.filter_jvp(lambda e: e.residual(x), (equations,), (tangents[0],))
-    system = equations.linearize(x)
-    dx = lax.custom_linear_solve(
-        system.multiply,
-        -dr,
-        lambda _, b: system.solve(b),
-        lambda _, b: system.solve_transpose(b),
+    return new, EquilibriumInfo(
+        result=path.result,
+        iterations=path.iterations,
+        load_steps=path.accepted,
+        rejected=path.rejected,
+        reached=path.reached,
     )
-    return x, equations.lift(x, dx)
-
-
-def _constant(tree: Any) -> Any:
-    """The tree without derivatives."""
-    arrays, rest = eqx.partition(tree, eqx.is_array)
-    return eqx.combine(lax.stop_gradient(arrays), rest)
 
 
 def _imbalance(scene: Scene, state: State) -> Internal:
@@ -389,7 +375,7 @@ def _follow(scene, state, stop, load_steps, tolerance, max_iterations, max_rotat
         x, solved = newton.iterate(trial, guess, tolerance, max_iterations)
         turned = jnp.sqrt(jnp.max(jnp.sum(x[:, 6:] ** 2, 1)))
         far = jnp.where(turned > jnp.pi, Result.ROTATION_TOO_LARGE, Result.SUCCESS)
-        result = results.join(solved.result, far)
+        result = results.join(solved.result, far, trial.overflow(x))
         good = result == Result.SUCCESS
         keep = lambda new, old: jnp.where(good, new, old)
         return _Path(

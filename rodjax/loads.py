@@ -68,6 +68,16 @@ class AbstractLoad(eqx.Module):
     def check(self, rod: Rod) -> None:
         """Raise ValueError where the rod lacks what the load needs."""
 
+    @property
+    def schedules(self) -> dict[str, AbstractSchedule]:
+        """What the load prescribes over time, by argument."""
+        return {}
+
+    @property
+    def inertia(self) -> bool:
+        """Whether the load adds mass to the nodes."""
+        return False
+
     def added_mass(self, rod: Rod, motion: NodeMotion) -> Float[Array, "nodes 3 3"] | None:
         """Mass matrix of the nodes that the load adds (inertial axes), or None."""
         return None
@@ -160,6 +170,10 @@ class MorisonDrag(AbstractLoad):
         )
         return jnp.concatenate([force, jnp.zeros_like(force)], 1)
 
+    @property
+    def inertia(self):
+        return self.added_mass_coefficient is not None
+
     def added_mass(self, rod, motion):
         if self.added_mass_coefficient is None:
             return None
@@ -230,6 +244,11 @@ class PointLoad(AbstractLoad):
         for name, schedule in (("force", self.force), ("moment", self.moment)):
             if schedule is not None and jnp.shape(schedule(jnp.zeros(()))) != (3,):
                 raise ValueError(f"{name}: the schedule must give three components")
+
+    @property
+    def schedules(self):
+        both = {"force": self.force, "moment": self.moment}
+        return {name: schedule for name, schedule in both.items() if schedule is not None}
 
     def check(self, rod):
         if not -rod.elements - 1 <= self.node <= rod.elements:

@@ -17,9 +17,14 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jax import lax
+from jax.ad_checkpoint import checkpoint_name
 from jaxtyping import Array, Bool, Float, Int
 
 from rodjax.results import Result
+
+# Under `jax.checkpoint` with `jax.checkpoint_policies.save_only_these_names(SOLUTION)` a reverse
+# pass takes the solutions from the forward pass and repeats no iteration.
+SOLUTION = "newton_solution"
 
 
 class NewtonInfo(NamedTuple):
@@ -75,23 +80,31 @@ def iterate(equations, x, tolerance, max_iterations) -> tuple[Any, NewtonInfo]:
     return end.x, NewtonInfo(result.astype(jnp.int32), end.iterations)
 
 
-@eqx.filter_custom_jvp
 def solve(equations, x, tolerance, max_iterations) -> tuple[Any, NewtonInfo]:
-    """Root of the equations from the guess x; differentiable by the implicit function theorem.
+    """Root of the equations from the guess x, differentiable as `root` is.
 
-    dx = -(dr/dx)^-1 (dr/d equations), in forward and reverse mode and nested; the guess, the
-    tolerance and the iterations taken have no influence on the derivative.
+    The guess, the tolerance and the iterations taken have no influence on the derivative.
     """
-    return iterate(equations, x, tolerance, max_iterations)
+    held = constant((equations, x, tolerance, max_iterations))
+    x, info = checkpoint_name(iterate(*held), SOLUTION)
+    return root(equations, x), info
 
 
-@solve.def_jvp
-def _solve_jvp(primals, tangents):
-    equations, guess, tolerance, max_iterations = primals
-    x, info = solve(equations, guess, tolerance, max_iterations)
-    nothing = jax.tree.map(lambda _: None, info)
+@eqx.filter_custom_jvp
+def root(equations, x):
+    """The root x of the equations, with its derivative by the implicit function theorem.
+
+    dx = -(dr/dx)^-1 (dr/d equations), in forward and reverse mode and nested.
+    """
+    return x
+
+
+@root.def_jvp
+def _root_jvp(primals, tangents):
+    equations, x = primals
+    x = root(equations, x)
     if not any(leaf is not None for leaf in jax.tree.leaves(tangents[0])):
-        return (x, info), (jnp.zeros_like(x), nothing)
+        return x, jnp.zeros_like(x)
     _, dr = eqx.filter_jvp(lambda e: e.residual(x), (equations,), (tangents[0],))
     system = equations.linearize(x)
     dx = lax.custom_linear_solve(
@@ -100,4 +113,10 @@ def _solve_jvp(primals, tangents):
         lambda _, b: system.solve(b),
         lambda _, b: system.solve_transpose(b),
     )
-    return (x, info), (equations.lift(x, dx), nothing)
+    return x, equations.lift(x, dx)
+
+
+def constant(tree: Any) -> Any:
+    """The tree without derivatives."""
+    arrays, rest = eqx.partition(tree, eqx.is_array)
+    return eqx.combine(lax.stop_gradient(arrays), rest)

@@ -17,7 +17,8 @@ class Result(enum.IntEnum):
     STRAND_PASSAGE = 4
     CAPACITY_OVERFLOW = 5
     ROTATION_TOO_LARGE = 6
-    NON_FINITE = 7
+    SWITCH_MISSED = 7
+    NON_FINITE = 8
 
 
 MESSAGES = {
@@ -39,7 +40,11 @@ MESSAGES = {
         " `capacities` hold; raise them"
     ),
     Result.ROTATION_TOO_LARGE: (
-        "an element or a step turned by more than a revolution; use more elements or smaller steps"
+        "an element turned by more than 0.9 of a revolution, or a node by half of one in a step;"
+        " use more elements or smaller steps"
+    ),
+    Result.SWITCH_MISSED: (
+        "a step strode over the time at which a constraint changes; end a step there"
     ),
     Result.NON_FINITE: (
         "a value became infinite or not a number; check the inputs, or use a smaller step"

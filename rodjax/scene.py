@@ -26,6 +26,8 @@ class Scene(eqx.Module):
             raise ValueError("loads: give a tuple, for one load (load,)")
         for load in self.loads:
             load.check(self.rod)
+            if load.inertia and self.rod.mass is None:
+                raise ValueError("loads: added mass on a rod with mass=None, which has no inertia")
         if self.contact is not None:
             self.contact.check(self.rod)
         if self.rod.mass is None:
@@ -53,25 +55,33 @@ class Scene(eqx.Module):
         return tuple(t for end in self.ends for t in end.switch_times)
 
     @property
+    def _schedules(self) -> list:
+        """Everything prescribed over time, with its name."""
+        found = []
+        for name, end in zip(("first_end", "last_end"), self.ends, strict=True):
+            parts = {"displacement": end.displacement, "rotation": end.rotation}
+            found += [(f"{name}.{part}", x) for part, x in parts.items() if x is not None]
+        for i, load in enumerate(self.loads):
+            found += [(f"loads[{i}].{part}", x) for part, x in load.schedules.items()]
+        return found
+
+    @property
     def corners(self) -> Float[Array, " k"]:
         """Times at which a derivative of a drive jumps; adaptive steps end on them."""
-        drives = [d for end in self.ends for d in (end.displacement, end.rotation)]
-        corners = [drive.corners for drive in drives if drive is not None]
+        corners = [schedule.corners for _, schedule in self._schedules]
         return jnp.concatenate([jnp.zeros((0,)), *corners])
 
     def check_until(self, time: float) -> None:
         """Raise ValueError if a schedule ends before `time` (outside traced code only)."""
-        for name, end in zip(("first_end", "last_end"), self.ends, strict=True):
-            for part in ("displacement", "rotation"):
-                schedule = getattr(end, part)
-                if schedule is None or isinstance(schedule.until, jax.core.Tracer):
-                    continue
-                until = float(schedule.until)
-                if until < time * (1 - 1e-9):
-                    raise ValueError(
-                        f"{name}.{part}: its schedule ends at {until:g}, before the run's end at"
-                        f" {time:g}; extend the schedule or shorten the run"
-                    )
+        for name, schedule in self._schedules:
+            if isinstance(schedule.until, jax.core.Tracer):
+                continue
+            until = float(schedule.until)
+            if until < time * (1 - 1e-9):
+                raise ValueError(
+                    f"{name}: its schedule ends at {until:g}, before the run's end at {time:g};"
+                    " extend the schedule or shorten the run"
+                )
 
 
 def projectors(scene: Scene, time: Float[Array, ""]) -> Float[Array, "2 6 6"]:

@@ -10,7 +10,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from rodjax import balance, contact_forces, ends, newton, rotations, screening
 from rodjax.balance import Scales
-from rodjax.consistency import restart
+from rodjax.consistency import project
 from rodjax.coupled import CoupledSystem, Coupling, Nearby, couple, find_nearby
 from rodjax.generalized_alpha import (
     GeneralizedAlpha,
@@ -25,6 +25,7 @@ from rodjax.loads import NodeMotion, total_wrench
 from rodjax.results import Result, join
 from rodjax.scene import Scene, projectors
 from rodjax.state import State
+from rodjax.strains import relative_rotation
 
 
 class StepInfo(NamedTuple):
@@ -52,6 +53,9 @@ def no_info(dtype) -> StepInfo:
 # Steps after a constraint began that are taken with spectral radius 0: its shock excites modes
 # that no step of practical size resolves, and without damping they ring on in the forces.
 SETTLING_STEPS = 4
+
+# Real part of an element's relative rotation beyond which it is refused: 0.9 of a revolution.
+_FULLY_WOUND = -0.95
 
 # Largest rotation of a node that Newton's iteration may begin with [rad].
 _LARGEST_TURN = 1.0
@@ -182,7 +186,7 @@ class StepEquations(eqx.Module):
         blocks = self._blocks(x, motion, acceleration, increment)
         push, coupling = self._contact(motion)
         residual = self._balance(x, motion, acceleration, increment, push)
-        return CoupledSystem(blocks, coupling).solve(-residual)
+        return CoupledSystem(blocks, coupling).solve_once(-residual)
 
     def _contact(self, motion) -> tuple[Array | None, Coupling | None]:
         """Contact forces on the nodes [N], and their derivative in the Newton system."""
@@ -249,17 +253,6 @@ def free_balance(scene: Scene, motion: NodeMotion, acceleration, force):
     return wrench, inner.constraint
 
 
-def nodal_balance(scene: Scene, motion: NodeMotion, acceleration, force):
-    """`free_balance` less the contact forces, by a search of its own."""
-    wrench, constraint = free_balance(scene, motion, acceleration, force)
-    if scene.contact is not None:
-        pushed = contact_forces.report(
-            scene.contact, scene.rod, motion.position, motion.velocity
-        ).force
-        wrench = wrench.at[:, :3].add(-pushed)
-    return wrench, constraint
-
-
 def node_tangent(scene, motion, acceleration, turn, by_velocity, by_acceleration):
     """Derivative of inertia and loads of each node by its displacement and body spin, (n+1, 6, 6).
 
@@ -305,21 +298,25 @@ def step(
     """Advance the motion from `state.time` to `stop`.
 
     Pure and differentiable; if a constraint begins at the step's start, velocities are first
-    projected onto it and accelerations and forces made consistent. A failed step is reported in
-    `StepInfo.result`, never raised.
+    projected onto it. A failed step is reported in
+    `StepInfo.result`, never raised. So is one that strides over the time at which a constraint
+    changes: a step must end exactly there (`rollout` sees to rounding).
     """
     method = GeneralizedAlpha() if method is None else method
     state = prepare(scene, state)
+    stop = jnp.asarray(stop, state.time.dtype)
     if not scene.switch_times:
         return advance_to(scene, state, stop, method)
     state, loss = lax.cond(
         switching(scene, state),
-        lambda s: begin_constraint(scene, s, restart),
+        lambda s: begin_constraint(scene, s, project),
         lambda s: (s, jnp.zeros_like(s.time)),
         state,
     )
+    missed = jnp.any(jnp.stack([(state.time < t) & (t < stop) for t in scene.switch_times]))
     state, info = advance_to(scene, state, stop, method)
-    return state, info._replace(projection_loss=loss)
+    code = join(info.result, jnp.where(missed, Result.SWITCH_MISSED, Result.SUCCESS))
+    return state, info._replace(projection_loss=loss, result=code)
 
 
 def switching(scene: Scene, state: State) -> Bool[Array, ""]:
@@ -327,16 +324,20 @@ def switching(scene: Scene, state: State) -> Bool[Array, ""]:
     return jnp.any(jnp.stack([t == state.time for t in scene.switch_times]))
 
 
-def begin_constraint(scene: Scene, state: State, restart) -> tuple[State, Float[Array, ""]]:
-    """The state made consistent with a constraint that begins, to be settled, and the loss [J]."""
-    bare, loss = restart(scene, dataclasses.replace(state, settling=None, jerk=None))[:2]
+def begin_constraint(scene: Scene, state: State, project) -> tuple[State, Float[Array, ""]]:
+    """The state with velocities consistent with a constraint that begins, and the loss [J].
+
+    Its first steps are damped most, which makes them independent of the accelerations before:
+    those are zeroed, since the jolt's own are of modes that no step resolves.
+    """
+    moving, loss = project(scene, dataclasses.replace(state, settling=None, jerk=None))[:2]
     zero = jnp.zeros_like(state.rate)
     new = dataclasses.replace(
-        bare,
-        settling=jnp.asarray(SETTLING_STEPS, jnp.int32),
-        # the jolt's accelerations are those of modes that no step resolves: predicting with them
-        # would throw the first step far off
+        moving,
+        acceleration=zero,
         auxiliary=zero,
+        force=state.force,
+        settling=jnp.asarray(SETTLING_STEPS, jnp.int32),
         jerk=None if state.jerk is None else zero,
     )
     return new, loss
@@ -390,13 +391,14 @@ def advance_to(
             jnp.where(passed, Result.STRAND_PASSAGE, Result.SUCCESS),
             jnp.where(equations.nearby.near.overflow, Result.CAPACITY_OVERFLOW, Result.SUCCESS),
         )
+    # beyond one revolution an element's rotation vector jumps to the other side
+    wound = jnp.min(relative_rotation(new.quaternion)[:, 0]) < _FULLY_WOUND
+    turned_far = (largest(increment[:, 3:]) > jnp.pi) | wound
     info = StepInfo(
         result=join(
             solved.result,
             contact_code,
-            jnp.where(
-                largest(increment[:, 3:]) > jnp.pi, Result.ROTATION_TOO_LARGE, Result.SUCCESS
-            ),
+            jnp.where(turned_far, Result.ROTATION_TOO_LARGE, Result.SUCCESS),
         ),
         iterations=solved.iterations,
         error_position=largest(error[:, :3]),

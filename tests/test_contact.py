@@ -12,7 +12,7 @@ from helpers import DIAMETER, hairpin
 from rodjax import contact as contact_of
 from rodjax import contact_forces as forces_of
 from rodjax import contact_laws as laws
-from rodjax import screening
+from rodjax import measures, screening
 from rodjax.consistency import start
 from rodjax.contact import Contact
 from rodjax.contact_laws import PairProperties
@@ -21,10 +21,11 @@ from rodjax.ends import Clamped
 from rodjax.results import Result
 from rodjax.rod import circular_section, straight_rod
 from rodjax.scene import Scene
-from rodjax.step import StepEquations, step
+from rodjax.simulate import Run
+from rodjax.step import StepEquations, no_info, step
 
 LAWS = {
-    "damped": laws.DampedInversePower(k1=1e-4, k3=1e-1),
+    "damped": laws.DampedInversePower(k1=1e-4, k3=1e-1, reference_spacing=1e-3),
     "inverse_power": laws.InversePower(strength=1e-2, exponent=3.0),
     "lennard_jones": laws.LennardJones(energy=1.0, range=0.03),
     "debye_hueckel": laws.DebyeHueckel(strength=0.1, screening=0.02),
@@ -62,7 +63,7 @@ def test_law_is_c1_and_repels_when_close(name):
 
 
 def test_damped_law_is_equation_13():
-    law = laws.DampedInversePower()
+    law = laws.DampedInversePower(k1=1e-7, k3=1e-6, reference_spacing=1e-3)
     d, c = 0.013, 0.2
     expected = 0.5 * (1e-7 / (d - 0.5 * DIAMETER) ** 3 + 1e-6 / d * c * abs(c)) / 1e-3
     got = laws.continued(law, jnp.asarray(d), jnp.asarray(c), PAIR)
@@ -168,7 +169,18 @@ def test_newton_system_is_the_exact_derivative(bent):
     )
 
 
-@pytest.mark.parametrize("name", ["damped", "debye_hueckel", "lennard_jones"])
+# where strands settle under each law
+SETTLED = {
+    "damped": 0.58 * DIAMETER,
+    "inverse_power": DIAMETER,
+    "lennard_jones": 0.026,
+    "debye_hueckel": DIAMETER,
+    "barrier": 1.05 * DIAMETER,
+    "penalty": 0.99 * DIAMETER,
+}
+
+
+@pytest.mark.parametrize("name", LAWS)
 def test_ripple_of_the_force_is_under_two_percent(name):
     """Sliding one strand along the other by one spacing barely changes the force.
 
@@ -176,7 +188,7 @@ def test_ripple_of_the_force_is_under_two_percent(name):
     the phase between the points is that of the documented spacing h = min(sqrt(2 d w)/2, d/3).
     """
     law = LAWS[name]
-    d = {"damped": 0.58 * DIAMETER, "debye_hueckel": DIAMETER, "lennard_jones": 0.026}[name]
+    d = SETTLED[name]
     psi = lambda r: laws.continued(law, r, jnp.asarray(0.0), PAIR)
     width = float(psi(jnp.asarray(d)) / abs(jax.grad(psi)(jnp.asarray(d))))
     spacing = min(0.5 * np.sqrt(2 * d * width), d / 3)
@@ -187,6 +199,22 @@ def test_ripple_of_the_force_is_under_two_percent(name):
     density = jax.vmap(jax.vmap(psi))(r) * forces_of.window(contact, r, cosine, cosine)
     force = np.sum(density * d / r, 1) * spacing
     assert np.ptp(force) < 0.02 * np.mean(force)
+
+
+def test_contacts_over_a_run_are_those_of_its_states(bent):
+    scene, state, _ = bent
+    states = jax.tree.map(lambda leaf: jnp.stack([leaf, leaf]), state)
+    apart = states.position.at[1, 13:, 0].add(1.0)  # one strand moved out of reach
+    states = eqx.tree_at(lambda s: s.position, states, apart)
+    zero = jnp.asarray(0, jnp.int32)
+    run = Run(states, no_info(apart.dtype), zero, zero, zero)
+    found = measures.contacts(scene, run)
+    alone = forces_of.report(scene.contact, scene.rod, state.position, state.velocity)
+    np.testing.assert_allclose(found.force[0], alone.force, rtol=1e-12, atol=1e-15)
+    assert float(found.total[0]) == pytest.approx(float(alone.total)) and alone.total > 0
+    assert float(found.total[1]) == 0 and float(found.smallest[1]) == np.inf
+    with pytest.raises(ValueError, match="scene: it has no contact"):
+        measures.contacts(dataclasses.replace(scene, contact=None), run)
 
 
 def test_force_does_not_depend_on_the_division():
@@ -300,4 +328,4 @@ def test_contact_needs_a_diameter_and_room():
     with pytest.raises(ValueError, match="^exclusion"):
         Scene(rod, contact=Contact(LAWS["damped"], 20, cutoff=0.9))
     with pytest.raises(ValueError, match="^k1"):
-        laws.DampedInversePower(k1=-1.0)
+        laws.DampedInversePower(k1=-1.0, k3=0.0, reference_spacing=1.0)

@@ -1,5 +1,7 @@
 """One step and short rollouts: conservation, vibrations, switches, failures, units."""
 
+import dataclasses
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -22,7 +24,7 @@ from rodjax.loads import DistributedLoad, Gravity, LinearDrag, MorisonDrag, Poin
 from rodjax.results import Result, SimulationError
 from rodjax.rod import circular_section, curved_rod, straight_rod
 from rodjax.scene import Scene
-from rodjax.schedules import Constant, Function, Smooth
+from rodjax.schedules import Constant, Function, PiecewiseLinear, Smooth
 from rodjax.simulate import StepControl, adaptive_rollout, rollout
 from rodjax.step import step
 from rodjax.strains import strains
@@ -286,6 +288,24 @@ def test_switch_must_be_among_the_times(held):
         rollout(scene, run.state(0), jnp.linspace(0, 0.6, 8)[1:])
 
 
+def test_switch_is_met_in_traced_code_and_a_miss_is_reported(held):
+    scene, run = held
+    tenth = jnp.asarray(0.1)
+    assert float(3 * tenth) != 0.3  # rounding puts the third step beside the switch
+
+    @jax.jit
+    def ends(tenth):
+        times = tenth * jnp.asarray([1.0, 2.0, 3.0, 4.0])
+        found = rollout(scene, run.state(0), times, PRECISE, throw=False)
+        return found.times[3], found.infos.projection_loss, found.result
+
+    at, loss, _ = ends(tenth)
+    assert float(at) == 0.3
+    assert float(loss[3]) > 1e-6 and np.all(np.delete(np.asarray(loss), 3) == 0)
+    # a step from before the switch to beyond it, and what follows is not blamed for another cause
+    assert int(ends(2.2 * tenth / 2)[2]) == Result.SWITCH_MISSED
+
+
 # Rollouts
 
 
@@ -306,6 +326,10 @@ def test_saving_by_index_and_ending_with_the_same_state(held):
 
 def test_schedule_that_ends_before_the_run_is_refused(driven):
     scene, state = driven
+    pushed = PointLoad(-1, force=PiecewiseLinear([0.0, 1.0], [[0.0, 0.0, 0.0], [0.0, 0.0, 1.0]]))
+    loaded = dataclasses.replace(scene, loads=(pushed,))
+    with pytest.raises(ValueError, match=r"loads\[0\].force: its schedule ends at 1"):
+        rollout(loaded, state, jnp.asarray([1.0, 3.0]))
     with pytest.raises(ValueError, match="first_end.displacement: its schedule ends at 10"):
         rollout(scene, state, jnp.asarray([1.0, 11.0]))
     with pytest.raises(ValueError, match="first_end.displacement: its schedule ends at 10"):
@@ -361,6 +385,33 @@ def test_steps_that_cannot_be_solved_are_reported(driven, counted):
     fast = eqx.tree_at(lambda s: s.rate, state, state.rate.at[:, 5].set(1e3))
     _, info = counted(scene, fast, time(0.1), GeneralizedAlpha())
     assert int(info.result) != Result.SUCCESS
+
+
+def test_start_names_what_has_no_answer():
+    section = circular_section(0.02, 1e6, 4e5, 1000.0)
+    rod = straight_rod(1.0, 8, section)
+    with pytest.raises(ValueError, match="first_end, last_end: .* hold the rod twice"):
+        start(Scene(rod, Clamped(), Clamped(), (Gravity((0.0, 0.0, -9.8)),)))
+    bare = dataclasses.replace(rod, rotary_inertia=jnp.asarray([[1e-6, 1e-6, 0.0]] * 8))
+    assert np.all(np.isfinite(start(Scene(bare, Clamped())).acceleration))
+    turned = rod.quaternion.at[3:].multiply(-1.0)
+    state = start(Scene(rod, Clamped()), quaternion=turned)
+    np.testing.assert_array_equal(state.quaternion, rod.quaternion)
+    added = MorisonDrag(1000.0, 0.1, 0.01, added_mass_coefficient=1.0)
+    massless = dataclasses.replace(rod, mass=None, rotary_inertia=None)
+    with pytest.raises(ValueError, match="loads: added mass"):
+        Scene(massless, Clamped(), loads=(LinearDrag(1.0, 1.0, 1.0), added))
+
+
+def test_element_wound_too_far_is_refused():
+    """Near a full turn of an element its rotation vector would jump to the other side."""
+    turns = lambda n: Turn(UP, Smooth([0.0, 1.0, 9.0], 2 * np.pi * np.asarray([0.0, n, n])))
+    rod = straight_rod(1.0, 2, UNIT_SECTION)
+    wound = lambda n: Scene(rod, Clamped(), Slider(UP, rotation=turns(n)))
+    times = jnp.linspace(0.0, 1.0, 41)[1:]
+    run = lambda n: rollout(wound(n), start(wound(n)), times, throw=False)
+    assert int(run(1.2).result) == Result.SUCCESS
+    assert int(run(2.4).result) == Result.ROTATION_TOO_LARGE
 
 
 def test_state_refuses_what_does_not_fit():

@@ -96,7 +96,7 @@ OBJECTS = [
     *(
         Contact(law, segments=49, cutoff=0.01, aperture=1.0, exclusion=0.05, capacities=(16, 50))
         for law in (
-            DampedInversePower(offset=0.4),
+            DampedInversePower(k1=1e-7, k3=1e-6, reference_spacing=1e-3, offset=0.4),
             InversePower(1.0, 3.0),
             LennardJones(1.0, 0.01),
             DebyeHueckel(1.0, 0.01),
