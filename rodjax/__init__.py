@@ -2,11 +2,15 @@
 
 Data flows one way: a `Rod` with ends, loads and contact makes a `Scene`; `start` gives a consistent
 `State`; `step`, `rollout`, `adaptive_rollout` advance it and `equilibrium` rests it; the modules
-`energy`, `measures` and `topology` measure it, `storage` keeps it, `plot` shows it.
+`energy`, `measures` and `topology` measure it, `storage` keeps it, `plot` shows it;
+`least_squares` and `minimize` fit what was given to what was observed.
 
 Double precision is the caller's choice: `jax.config.update("jax_enable_x64", True)`.
 """
 
+from rodjax.bounds import Interval as Interval
+from rodjax.bounds import Positive as Positive
+from rodjax.bounds import Unbounded as Unbounded
 from rodjax.consistency import start as start
 from rodjax.contact import Contact as Contact
 from rodjax.contact_laws import AbstractLaw as AbstractLaw
@@ -24,6 +28,11 @@ from rodjax.ends import Slider as Slider
 from rodjax.ends import Switched as Switched
 from rodjax.ends import Turn as Turn
 from rodjax.equilibrium import equilibrium as equilibrium
+from rodjax.fit import least_squares as least_squares
+from rodjax.fit import several_starts as several_starts
+from rodjax.fit_results import Fit as Fit
+from rodjax.fit_results import FitError as FitError
+from rodjax.fit_results import FitResult as FitResult
 from rodjax.generalized_alpha import GeneralizedAlpha as GeneralizedAlpha
 from rodjax.loads import AbstractLoad as AbstractLoad
 from rodjax.loads import DistributedLoad as DistributedLoad
@@ -31,6 +40,9 @@ from rodjax.loads import Gravity as Gravity
 from rodjax.loads import LinearDrag as LinearDrag
 from rodjax.loads import MorisonDrag as MorisonDrag
 from rodjax.loads import PointLoad as PointLoad
+from rodjax.minimize import minimize as minimize
+from rodjax.observations import Observations as Observations
+from rodjax.observations import positions_at as positions_at
 from rodjax.results import Result as Result
 from rodjax.results import SimulationError as SimulationError
 from rodjax.rod import Rod as Rod
@@ -68,19 +80,25 @@ __all__ = [
     "DampedInversePower",
     "DebyeHueckel",
     "DistributedLoad",
+    "Fit",
+    "FitError",
+    "FitResult",
     "Free",
     "Function",
     "GeneralizedAlpha",
     "Gravity",
+    "Interval",
     "InversePower",
     "LennardJones",
     "LinearDrag",
     "MorisonDrag",
+    "Observations",
     "Penalty",
     "PiecewiseLinear",
     "PiecewiseLinearRate",
     "Pinned",
     "PointLoad",
+    "Positive",
     "Result",
     "Rod",
     "Run",
@@ -93,11 +111,16 @@ __all__ = [
     "StepControl",
     "Switched",
     "Turn",
+    "Unbounded",
     "adaptive_rollout",
     "circular_section",
     "curved_rod",
     "equilibrium",
+    "least_squares",
+    "minimize",
+    "positions_at",
     "rollout",
+    "several_starts",
     "stability",
     "start",
     "step",

@@ -8,6 +8,7 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool, Float
 
+from rodjax.batching import largest
 from rodjax.contact import Contact, Sites, interpolate, sites, spread
 from rodjax.contact_laws import PairProperties, continued
 from rodjax.rod import Rod
@@ -74,7 +75,7 @@ def forces_and_derivative(
         now = evaluate(jax.tree.map(lambda leaf: leaf[i], rows))
         return jax.tree.map(lambda buffer, value: buffer.at[i].set(value), found, now)
 
-    used = (near.count + BLOCK - 1) // BLOCK
+    used = (largest(near.count) + BLOCK - 1) // BLOCK
     found = lax.fori_loop(0, used, body, (force, derivative, ratio + jnp.inf, total))
     return _joined(near, found)
 
@@ -111,7 +112,8 @@ def pair_forces(
         empty = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), like)
         return (*empty[:2], empty[2] + jnp.inf, empty[3])
 
-    block = lambda _, row: (None, lax.cond(row[0] < near.count, evaluate, skip, row))
+    count = largest(near.count)
+    block = lambda _, row: (None, lax.cond(row[0] < count, evaluate, skip, row))
     return _joined(near, lax.scan(block, None, rows)[1])
 
 

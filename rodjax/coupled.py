@@ -14,6 +14,7 @@ from jax import lax
 from jaxtyping import Array, Float
 
 from rodjax.balance import Scales
+from rodjax.batching import largest
 from rodjax.block_tridiagonal import BlockTridiagonal, Factors
 from rodjax.contact import Sites, interpolate, sites, spread
 from rodjax.contact_forces import forces_and_derivative, gather, joints_of
@@ -155,11 +156,12 @@ class CoupledSystem(eqx.Module):
             return lambda b, factors: _solve_coupled(factors, coupling, level, b)
 
         branches = [some(level) for level in range(len(coupling.sizes))]
+        level = largest(coupling.near.level)
 
         def touching(b):
-            return lax.switch(coupling.near.level - 1, branches, b, self.blocks.factorize())
+            return lax.switch(level - 1, branches, b, self.blocks.factorize())
 
-        return lax.cond(coupling.near.level > 0, touching, apart, b)
+        return lax.cond(level > 0, touching, apart, b)
 
     def solve_transpose(self, b: Float[Array, "nodes 9"]) -> Float[Array, "nodes 9"]:
         """Solution of the transposed system."""

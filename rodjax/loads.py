@@ -43,7 +43,9 @@ def _check_not_negative(**values):
             continue
         if value.shape != ():
             raise ValueError(f"{name}: must be one number, got shape {value.shape}")
-        if not isinstance(value, jax.core.Tracer) and not (np.isfinite(value) and value >= 0):
+        if not isinstance(value, jax.core.Tracer) and not (
+            np.isfinite(value) and np.asarray(value) >= 0
+        ):
             raise ValueError(f"{name}: must be finite and not negative, got {value}")
 
 

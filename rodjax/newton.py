@@ -23,7 +23,7 @@ from jaxtyping import Array, Bool, Float, Int
 from rodjax.results import Result
 
 # Under `jax.checkpoint` with `jax.checkpoint_policies.save_only_these_names(SOLUTION)` a reverse
-# pass takes the solutions from the forward pass and repeats no iteration.
+# pass takes what is so named from the forward pass, and repeats no iteration and no search.
 SOLUTION = "newton_solution"
 
 

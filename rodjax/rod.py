@@ -71,12 +71,14 @@ class Rod(eqx.Module):
                 continue
             if not np.all(np.isfinite(value)):
                 raise ValueError(f"{name}: must be finite everywhere")
-            if name in ("length", "stiffness", "mass", "diameter", "area") and np.any(value <= 0):
+            if name in ("length", "stiffness", "mass", "diameter", "area") and np.any(
+                np.asarray(value) <= 0
+            ):
                 raise ValueError(
                     f"{name}: must be positive in every element"
                     + ("; for a rod without inertia pass mass=None" if name == "mass" else "")
                 )
-            if name in ("rotary_inertia", "compliance") and np.any(value < 0):
+            if name in ("rotary_inertia", "compliance") and np.any(np.asarray(value) < 0):
                 raise ValueError(f"{name}: must not be negative; pass None to leave it out")
             if name == "quaternion" and np.any(abs(np.linalg.norm(value, axis=1) - 1) > 1e-3):
                 raise ValueError("quaternion: must have unit length at every node")

@@ -10,6 +10,7 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
+from rodjax.batching import largest
 from rodjax.contact import Contact, Sites, interpolate
 from rodjax.contact_laws import PairProperties
 
@@ -87,7 +88,8 @@ def search(
 
     none = jnp.zeros((capacity,), jnp.int32)
     nothing = (none, none, jnp.asarray(0, jnp.int32))
-    first, second, count = lax.cond(jnp.any(near), pick, lambda _: nothing, near)
+    some = largest(jnp.any(near).astype(jnp.int32)) > 0
+    first, second, count = lax.cond(some, pick, lambda _: nothing, near)
     segments = jnp.any(near, 0) | jnp.any(near, 1)
     involved = jnp.zeros((contact.segments + 1,), bool).at[:-1].set(segments)
     involved = involved | jnp.roll(involved, 1)
@@ -143,7 +145,7 @@ def approach_limit(
         ratio = 0.7 * gap / jnp.where(closing > 0, closing, 1.0)
         return jnp.minimum(limit, jnp.min(jnp.where(acts & (closing > 0), ratio, 1.0)))
 
-    blocks = (near.count + BLOCK - 1) // BLOCK
+    blocks = (largest(near.count) + BLOCK - 1) // BLOCK
     return lax.fori_loop(0, blocks, body, jnp.ones((), position.dtype))
 
 

@@ -6,6 +6,7 @@ from typing import NamedTuple
 import equinox as eqx
 import jax.numpy as jnp
 from jax import lax
+from jax.ad_checkpoint import checkpoint_name
 from jaxtyping import Array, Bool, Float, Int
 
 from rodjax import balance, contact_forces, ends, newton, rotations, screening
@@ -360,6 +361,7 @@ def advance_to(
     if scene.contact is not None:
         expected = equations.increment(guess)[:, :3]
         nearby = find_nearby(scene, state.position, expected)
+        nearby = nearby._replace(near=checkpoint_name(nearby.near, newton.SOLUTION))
         equations = StepEquations(scene, state, stop, radius, nearby)
     guess = equations.limited(guess)
     tolerance = method.newton_tolerance(state.position.dtype)
@@ -394,12 +396,10 @@ def advance_to(
     # beyond one revolution an element's rotation vector jumps to the other side
     wound = jnp.min(relative_rotation(new.quaternion)[:, 0]) < _FULLY_WOUND
     turned_far = (largest(increment[:, 3:]) > jnp.pi) | wound
+    code = jnp.where(turned_far, Result.ROTATION_TOO_LARGE, Result.SUCCESS)
+    code = join(solved.result, contact_code, code)
     info = StepInfo(
-        result=join(
-            solved.result,
-            contact_code,
-            jnp.where(turned_far, Result.ROTATION_TOO_LARGE, Result.SUCCESS),
-        ),
+        result=checkpoint_name(code, newton.SOLUTION),
         iterations=solved.iterations,
         error_position=largest(error[:, :3]),
         error_bending=largest(error[:, 3:5]),

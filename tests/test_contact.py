@@ -18,6 +18,7 @@ from rodjax.contact import Contact
 from rodjax.contact_laws import PairProperties
 from rodjax.coupled import find_nearby
 from rodjax.ends import Clamped
+from rodjax.loads import MorisonDrag
 from rodjax.results import Result
 from rodjax.rod import circular_section, straight_rod
 from rodjax.scene import Scene
@@ -318,6 +319,21 @@ def test_gradient_through_a_step_in_contact(bent):
 def test_bad_input_names_the_argument(arguments, name):
     with pytest.raises(ValueError, match=f"^{name}"):
         Contact(LAWS["damped"], **({"segments": 20} | arguments))
+
+
+def test_scenes_are_built_in_traced_code_from_known_and_traced_values():
+    """There even known arrays become traced by an operation, so no check may use one."""
+    scene = Scene(hairpin(), loads=(MorisonDrag(1.0, 1.0, 1.0),))
+
+    @jax.jit
+    def build(factor):
+        rod = dataclasses.replace(scene.rod, mass=factor * scene.rod.mass)
+        drag = dataclasses.replace(scene.loads[0], normal_coefficient=factor)
+        law = dataclasses.replace(LAWS["damped"], k1=factor)
+        new = Scene(rod, Clamped(), loads=(drag,), contact=Contact(law, 20, cutoff=0.1))
+        return new.contact.law.k1
+
+    assert float(build(2.0)) == 2.0
 
 
 def test_contact_needs_a_diameter_and_room():

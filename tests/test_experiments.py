@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -194,6 +195,61 @@ def test_speed_report_in_short_mode(tmp_path):
     assert summary["compilation"][0]["step_operations"] > 100
     assert summary["peak_resident_mebibytes"] > 100
     assert "SciPy" in text
+
+
+@pytest.mark.parametrize("block", (0, 1), ids=("use", "fit"))
+def test_readme_runs_when_pasted(tmp_path, block):
+    text = (ROOT / "README.md").read_text()
+    script = tmp_path / "pasted.py"
+    script.write_text(re.findall(r"```python\n(.*?)```", text, re.S)[block])
+    said = _run(str(script))
+    if block == 0:
+        assert "steps; the slider moved by 0." in said
+    else:
+        values = dict(re.findall(r"(youngs_modulus|drag) +(\S+)", said))
+        assert float(values["youngs_modulus"]) == pytest.approx(1.2e7, rel=0.02)
+        assert float(values["drag"]) == pytest.approx(1.1, rel=0.05)
+
+
+@pytest.mark.slow
+def test_gradient_check_in_short_mode(tmp_path):
+    text = _run("gradient_check.py", "--quick", "--out", str(tmp_path))
+    found = json.loads(text.splitlines()[-1])
+    assert found["worst_modes_disagree"] < 1e-8
+    assert found["worst_differences_disagree"] < 1e-6
+    assert all(found["memory"][what]["finite"] for what in ("value", "gradient"))
+    assert (tmp_path / "gradients.png").exists()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ("drag", "contact_law"))
+def test_fits_in_short_mode(tmp_path, name):
+    _run(f"fit_{name}.py", "--quick", "--out", str(tmp_path))
+    summary = json.loads((tmp_path / "summary.json").read_text())
+    assert set(summary["fits"]) == {"without noise", "with noise"}
+    if name == "drag":
+        fit = summary["fits"]["without noise"]["parameters"]["normal_coefficient"]
+        assert fit["relative_error"] < 1e-2
+    assert (tmp_path / "fit.png").exists()
+
+
+@pytest.mark.slow
+def test_design_in_short_mode(tmp_path):
+    _run("design_rod.py", "--quick", "--out", str(tmp_path))
+    summary = json.loads((tmp_path / "summary.json").read_text())
+    assert summary["results"] == ["SUCCESS", "SUCCESS"]
+    assert summary["first_contact_after"] > summary["first_contact_before"]
+    assert abs(summary["mass_change"]) < 1e-12
+    assert (tmp_path / "design.png").exists()
+
+
+@pytest.mark.slow
+def test_sweep_in_short_mode(tmp_path):
+    _run("sweep.py", "--quick", "--devices", "2", "--out", str(tmp_path))
+    summary = json.loads((tmp_path / "summary.json").read_text())
+    assert summary["scenes"] == 64 and summary["failed"] == 0
+    with h5py.File(tmp_path / "sweep.h5") as file:
+        assert np.all(file["done"]) and file["results/writhe"].shape == (64,)
 
 
 def test_sensitivity_in_short_mode(tmp_path):

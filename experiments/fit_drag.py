@@ -1,0 +1,52 @@
+"""Drag coefficients recovered from the centreline, through buckling and the growth of the loop.
+
+    python experiments/fit_drag.py [--elements N] [--seed S] [--quick] [--out DIR]
+
+Normal and tangential coefficient of Morison's drag in `timeline`, each started a factor of 3 off,
+from markers seen between buckling and first contact. Writes DIR/summary.json and DIR/fit.png.
+"""
+
+import dataclasses
+import sys
+
+import _settings  # noqa: F401 (first)
+import numpy as np
+import recovery
+from example import PRESETS, scene
+
+import rodjax as rx
+
+
+def replaced(base, parameters):
+    """The scene with these drag coefficients."""
+    drag = dataclasses.replace(
+        base.loads[0],
+        normal_coefficient=parameters["normal_coefficient"],
+        tangential_coefficient=parameters["tangential_coefficient"],
+    )
+    return dataclasses.replace(base, loads=(drag,))
+
+
+def main(argv=None) -> int:
+    """Fit and report."""
+    options = recovery.arguments("fit_drag", __doc__, (100, 20), argv)
+    end, count, seen = (4.0, 40, 5) if options.quick else (26.0, 260, 24)
+    observed = np.linspace(0.5 * end, end, seen)
+    # nothing touches before 27 s
+    settings = [
+        recovery.Setting(base, rx.start(base), observed)
+        for base in (
+            scene(PRESETS["timeline"], n, contact=False)
+            for n in (options.elements, 4 * options.elements)
+        )
+    ]
+    truth = {"normal_coefficient": 0.1, "tangential_coefficient": 0.01}
+    guess = {"normal_coefficient": 0.3, "tangential_coefficient": 0.01 / 3}
+    steps = recovery.steps_between(0.0, end, count)
+    task = recovery.Task(truth, guess, rx.Positive(), replaced, *settings, steps)
+    recovery.recover(task, options)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,96 @@
+"""Descent along the gradient of a loss in reverse mode: for many parameters, or any loss."""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import jax
+import numpy as np
+import optax
+from jaxtyping import Array, PyTree
+
+from rodjax.bounds import unknowns_of
+from rodjax.compilation import compiled
+from rodjax.fit_results import FitError, FitResult, Progress, reporting
+
+
+class Minimum(NamedTuple):
+    """The smallest loss found, and its parameters."""
+
+    parameters: PyTree
+    loss: float
+    steps: int
+    evaluations: int
+    history: tuple[float, ...]  # losses at the guess and after each step
+    result: FitResult
+
+
+def minimize(
+    loss: Callable[[PyTree], Array],
+    guess: PyTree,
+    *,
+    bounds: PyTree = None,
+    optimizer: optax.GradientTransformation | None = None,
+    max_steps: int = 200,
+    tolerance: float = 1e-6,
+    progress: Progress = None,
+) -> Minimum:
+    """Minimize a loss along its gradient, in reverse mode.
+
+    Args:
+        loss: from the parameters to a number, differentiable in reverse mode. A step to where it
+            or its gradient is not finite is halved, up to eight times. Compiled once, as in
+            `least_squares`.
+        optimizer: of optax, for the vector of unknowns; None means `optax.adam(0.05)`, whose
+            first step changes every unknown by 0.05.
+        tolerance: converged when the next step changes no unknown by more.
+        guess, bounds, max_steps, progress: as in `least_squares`.
+
+    Raises:
+        FitError: the loss or its gradient is not finite at the guess.
+        ValueError: guess and bounds do not fit.
+    """
+    unknowns = unknowns_of(guess, bounds)
+    optimizer = optax.adam(0.05) if optimizer is None else optimizer
+    best = held = trial = unknowns.vector(unknowns.like)
+    memory, shift, history, halvings, evaluations = optimizer.init(trial), 0 * trial, [], 0, 0
+    result = FitResult.MAX_STEPS
+    with reporting(progress, unknowns, max_steps) as report:
+        try:
+            while len(history) <= max_steps:
+                value, gradient, step, after = _descend(loss, unknowns, optimizer, trial, memory)
+                evaluations += 1
+                bad = ~np.isfinite(np.asarray(gradient))
+                if np.any(bad) or not np.isfinite(value):
+                    if not history:
+                        names = ", ".join(np.array(unknowns.names)[bad]) or "no parameter"
+                        raise FitError(
+                            f"guess: the loss is {float(value):g}, and its derivative not finite"
+                            f" with respect to {names}"
+                        )
+                    if halvings == 8:
+                        result = FitResult.NON_FINITE
+                        break
+                    halvings, shift = halvings + 1, 0.5 * shift
+                    trial = held + shift
+                    continue
+                history.append(float(value))
+                best = trial if history[-1] <= min(history) else best
+                report(len(history) - 1, min(history), best)
+                if np.max(np.abs(step)) <= tolerance:
+                    result = FitResult.CONVERGED
+                    break
+                held, memory, shift, halvings = trial, after, step, 0
+                trial = held + shift
+        except KeyboardInterrupt:
+            if not history:
+                raise
+            result = FitResult.INTERRUPTED
+    best = unknowns.parameters(best)
+    return Minimum(best, min(history), len(history) - 1, evaluations, tuple(history), result)
+
+
+@compiled
+def _descend(loss, unknowns, optimizer, vector, memory):
+    value, gradient = jax.value_and_grad(lambda u: loss(unknowns.parameters(u)))(vector)
+    step, memory = optimizer.update(gradient, memory, vector)
+    return value, gradient, step, memory

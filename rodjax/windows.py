@@ -1,0 +1,67 @@
+"""A motion in windows, each begun anew: multiple shooting.
+
+Through a fork (which side a rod buckles to, which strand goes in front) or a chaotic stretch a long
+rollout has derivatives that lead nowhere. Over short windows that begin from states near the
+observed motion they stay useful: fit to all windows at once, and let the defects, by which each
+window's end misses the next one's start, go to zero.
+"""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jax import lax
+from jaxtyping import Array, Float
+
+from rodjax import rotations
+from rodjax.generalized_alpha import GeneralizedAlpha
+from rodjax.scene import Scene
+from rodjax.simulate import Run, rollout
+from rodjax.state import State
+
+
+class Windows(eqx.Module):
+    """Where windows begin, and the ends of their steps."""
+
+    starts: State  # stacked along the leading axis
+    times: Float[Array, "windows k"]
+
+
+def cut(run: Run, count: int) -> Windows:
+    """A run with every step saved as `count` windows of equally many steps.
+
+    Args:
+        run: motion near the observed one: of a guess, or of the fit so far.
+
+    Raises:
+        ValueError: the steps cannot be shared out equally.
+    """
+    steps = run.times.shape[0] - 1
+    if count < 1 or steps % count:
+        raise ValueError(f"count: the {steps} steps of the run do not make {count} equal windows")
+    length = steps // count
+    starts = jax.tree.map(lambda leaf: leaf[:-1:length], run.states)
+    return Windows(starts, run.times[1:].reshape(count, length))
+
+
+def roll(scene: Scene, windows: Windows, method: GeneralizedAlpha | None = None) -> Run:
+    """All windows, one after the other; every leaf of the run has them along its leading axis.
+
+    Differentiable as `rollout` is, in the starts too. A window that fails repeats its last good
+    state and says so in `result`; the others go on.
+    """
+    one = lambda window: rollout(scene, window.starts, window.times, method, throw=False)
+    return lax.map(one, windows)
+
+
+def defects(windows: Windows, run: Run) -> Float[Array, "windows-1 nodes 12"]:
+    """By how much each window's end misses the next one's start.
+
+    Columns: position [m], rotation vector in the body frame [rad], velocity [m/s] and angular
+    velocity [rad/s]; weigh them by what they are allowed to be off.
+    """
+    end = jax.tree.map(lambda leaf: leaf[:-1, -1], run.states)
+    begin = jax.tree.map(lambda leaf: leaf[1:], windows.starts)
+    turn = rotations.multiply(rotations.conjugate(begin.quaternion), end.quaternion)
+    return jnp.concatenate(
+        [end.position - begin.position, rotations.logarithm(turn), end.rate - begin.rate], -1
+    )

@@ -1,0 +1,62 @@
+"""A motion cut into windows and rolled again."""
+
+import dataclasses
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from helpers import driven_scene
+
+from rodjax.consistency import start
+from rodjax.simulate import rollout
+from rodjax.windows import cut, defects, roll
+
+
+@pytest.fixture(scope="module")
+def whole():
+    scene = driven_scene(6)
+    return scene, rollout(scene, start(scene), jnp.linspace(0.0, 0.6, 13)[1:])
+
+
+def test_windows_of_a_motion_are_the_motion(whole):
+    scene, run = whole
+    windows = cut(run, 3)
+    assert windows.times.shape == (3, 4)
+
+    @jax.jit
+    def missed(drag):
+        load = dataclasses.replace(scene.loads[0], normal_coefficient=drag)
+        new = dataclasses.replace(scene, loads=(load,))
+        again = roll(new, windows)
+        return jnp.sum(defects(windows, again) ** 2), again
+
+    loss, again = missed(scene.loads[0].normal_coefficient)
+    joined = jnp.concatenate([run.states.position[:1], *again.states.position[:, 1:]])
+    np.testing.assert_allclose(joined, run.states.position, atol=1e-10)
+    assert float(loss) < 1e-16
+    assert np.all(np.asarray(again.result) == 0)
+    # another drag misses, and the slope leads back
+    slope = jax.jit(jax.grad(lambda drag: missed(drag)[0]))
+    more = 1.5 * scene.loads[0].normal_coefficient
+    assert float(missed(more)[0]) > 1e-10 and float(slope(more)) > 0
+
+
+def test_starts_have_derivatives(whole):
+    scene, run = whole
+    windows = cut(run, 2)
+
+    @jax.jit
+    @jax.grad
+    def slope(shift):
+        moved = eqx.tree_at(lambda w: w.starts.rate, windows, windows.starts.rate + shift)
+        return jnp.sum(roll(scene, moved).states.position[:, -1])
+
+    found = slope(jnp.zeros_like(windows.starts.rate))
+    assert np.all(np.isfinite(found)) and float(jnp.max(jnp.abs(found))) > 1e-3
+
+
+def test_windows_must_share_the_steps(whole):
+    with pytest.raises(ValueError, match="count: the 12 steps of the run do not make 5"):
+        cut(whole[1], 5)
