@@ -19,7 +19,6 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import _settings  # noqa: F401 (first)
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -28,6 +27,7 @@ from jax import lax
 from tqdm import tqdm
 
 from rodjax import energy, measures, plot, simulate, storage
+from rodjax.compilation import compiled
 from rodjax.consistency import start
 from rodjax.generalized_alpha import GeneralizedAlpha
 from rodjax.results import MESSAGES, Result
@@ -190,7 +190,7 @@ def measure(scene: Scene, run: Run) -> Measured:
     """All measures of a run, each once."""
     axis = jnp.asarray(LOADING_AXIS)
 
-    @eqx.filter_jit
+    @compiled
     def over_states(scene, states):
         def one(state):
             return (

@@ -23,7 +23,7 @@ from rodjax.scene import Scene
 from rodjax.simulate import Run, StepControl
 from rodjax.state import State
 
-MARKERS = 20  # elements of the fit's grid must be a multiple
+MARKERS = 10  # elements of the fit's grid must be a multiple
 NOISE = 0.01  # standard deviation over the rms displacement
 
 

@@ -2,7 +2,8 @@
 
 XLA's newer fusion emitters for CPUs take about twice as long to compile a step as the older ones,
 for code that is no faster. Where the option exists (it went with jaxlib 0.12), the programs that
-the library itself compiles, `start` and the loop of `adaptive_rollout`, do without them.
+the library itself compiles (steps, measures, fits; not what a caller puts under `jax.jit`) do
+without them.
 """
 
 import functools
@@ -39,10 +40,10 @@ def compiled(function):
     inner = eqx.filter_jit(function)
 
     @functools.wraps(function)
-    def call(*arguments):
-        leaves = jax.tree.leaves(arguments)
+    def call(*arguments, **named):
+        leaves = jax.tree.leaves((arguments, named))
         if any(isinstance(leaf, jax.core.Tracer) for leaf in leaves):
-            return inner(*arguments)
-        return program()(*arguments)
+            return inner(*arguments, **named)
+        return program()(*arguments, **named)
 
     return call

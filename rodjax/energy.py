@@ -9,13 +9,13 @@ numerical loss of the time integration plus the error of the quadrature.
 
 from typing import NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float
 
 from rodjax import contact_forces, inertia, rotations
+from rodjax.compilation import compiled
 from rodjax.loads import Gravity, LinearDrag, MorisonDrag, NodeMotion, total_wrench
 from rodjax.rod import Rod
 from rodjax.scene import Scene, projectors
@@ -226,7 +226,7 @@ def _added_mass_loss(scene: Scene, before: State, after: State) -> Float[Array, 
     return loss
 
 
-@eqx.filter_jit
+@compiled
 def ledger(scene: Scene, run: Run) -> Ledger:
     """Energy ledger of a run over its saved states.
 

@@ -23,6 +23,7 @@ from jaxtyping import Array, Float, Int
 from rodjax import balance, contact_forces, ends, newton, results, rotations, screening
 from rodjax.anchored import AnchoredSystem
 from rodjax.balance import Internal, Scales
+from rodjax.compilation import compiled
 from rodjax.coupled import CoupledSystem, couple, find_nearby
 from rodjax.inertia import node_jacobian
 from rodjax.loads import DistributedLoad, NodeMotion, total_wrench
@@ -323,7 +324,7 @@ def equilibrium(
     return new, info
 
 
-@eqx.filter_jit
+@compiled
 def _equilibrium(scene, state, stop, load_steps, tolerance, max_iterations, max_rotation):
     fixed, start, end = newton.constant((scene, state, stop))
     path = _follow(fixed, start, end, load_steps, tolerance, max_iterations, max_rotation)

@@ -2,7 +2,6 @@
 
 from typing import NamedTuple
 
-import equinox as eqx
 import jax
 import jax.core
 import jax.numpy as jnp
@@ -11,6 +10,7 @@ from jax import lax
 from jaxtyping import Array, Float
 
 from rodjax import balance, contact_forces, energy, rotations, topology
+from rodjax.compilation import compiled
 from rodjax.contact_forces import ContactReport
 from rodjax.ends import Turn
 from rodjax.rod import Rod
@@ -107,13 +107,13 @@ def linking(scene: Scene, run: Run, extension: float | None = None) -> Linking:
     return Linking(run.times, twists, integrals, writhes, applied)
 
 
-@eqx.filter_jit
+@compiled
 def _topology(rod, states, extension):
     one = lambda s: (twist(s), twist_eq15(rod, s), writhe(s, extension))
     return lax.map(one, states)
 
 
-@eqx.filter_jit
+@compiled
 def contacts(scene: Scene, run: Run) -> ContactReport:
     """Contact forces, their sum and the smallest gap at every saved time.
 

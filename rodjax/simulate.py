@@ -140,7 +140,7 @@ def _onto_switches(scene, start, times):
     return times
 
 
-@eqx.filter_jit
+@compiled
 def _rollout(scene, state, times, method, save_every):
     def one(carry, stop):
         before, failed = carry

@@ -12,13 +12,13 @@ energy (plus the compliance's ds g^2 / compliance), of which the symmetric part 
 
 from typing import NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool, Float
 
 from rodjax import balance
+from rodjax.compilation import compiled
 from rodjax.equilibrium import at_rest, check_held, moved, static_balance
 from rodjax.scene import Scene, projectors
 from rodjax.state import State
@@ -162,7 +162,7 @@ def check_count(scene: Scene, count: int) -> None:
         raise ValueError(f"count: from 1 to the {scene.rod.elements} elements, got {count}")
 
 
-@eqx.filter_jit
+@compiled
 def _stability(scene, state, count):
     reduced = reduced_tangent(scene, state)
     rod = scene.rod

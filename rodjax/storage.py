@@ -25,6 +25,7 @@ from jaxtyping import Array, Float
 
 import rodjax
 from rodjax import simulate
+from rodjax.compilation import compiled
 from rodjax.generalized_alpha import GeneralizedAlpha
 from rodjax.scene import Scene
 from rodjax.simulate import Run, StepControl
@@ -132,7 +133,7 @@ def save(
                 file[f"measures/{name}"].attrs["units"] = unit
             write(file, "schedule", schedule, "schedule", units.time)
             frames = jnp.asarray(run.states.quaternion)
-            kappa = eqx.filter_jit(jax.vmap(curvature, (None, 0)))(scene.rod, frames)
+            kappa = _curvatures(scene.rod, frames)
             # derived from the quaternions: written for readers of the file, not read back
             states = file.require_group("run/states")
             write(states, "curvature", kappa, "curvature", f"rad/{units.length}")
@@ -181,6 +182,9 @@ def load(
         units = Units(*(str(file.attrs[f"unit_of_{name}"]) for name in Units._fields))
         parts = {name: read(file, name, name) for name in names}
         return Stored(**parts, units=units, version=str(file.attrs["rodjax_version"]))
+
+
+_curvatures = compiled(jax.vmap(curvature, (None, 0)))
 
 
 def _version() -> str:

@@ -100,16 +100,16 @@ def _read(path: Path, leaves, count: int) -> tuple[dict[str, np.ndarray], np.nda
     found, done = {}, np.zeros(count, bool)
     if jax.process_index() == 0 and path.exists():
         with h5py.File(path, "r") as file:
-            stored = [
-                np.asarray(file["parameters"][str(i)]) for i in range(len(file["parameters"]))
-            ]
+            given, results = file["parameters"], file["results"]
+            assert isinstance(given, h5py.Group) and isinstance(results, h5py.Group)
+            stored = [np.asarray(given[str(i)]) for i in range(len(given))]
             same = len(stored) == len(leaves) and all(
                 np.array_equal(a, b) for a, b in zip(stored, leaves, strict=True)
             )
             if not same:
                 raise ValueError(f"path: {path} holds a sweep of other parameters; give another")
             done = np.array(file["done"])
-            found = {name: np.asarray(value) for name, value in file["results"].items()}
+            found = {name: np.asarray(value) for name, value in results.items()}
     if jax.process_count() > 1:
         # of the results only the first process needs those of earlier runs
         done = np.array(multihost_utils.broadcast_one_to_all(done))

@@ -2,11 +2,11 @@
 
 from typing import NamedTuple
 
-import equinox as eqx
 import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float
 
+from rodjax.compilation import compiled
 from rodjax.equilibrium import at_rest, check_held
 from rodjax.inertia import inertial_wrench, node_jacobian
 from rodjax.scene import Scene
@@ -54,7 +54,7 @@ def vibration(scene: Scene, state: State, count: int = 1) -> Vibration:
     return _vibration(scene, state, count)
 
 
-@eqx.filter_jit
+@compiled
 def _vibration(scene, state, count):
     rod = scene.rod
     reduced = reduced_tangent(scene, state)

@@ -234,6 +234,14 @@ def test_fits_in_short_mode(tmp_path, name):
 
 
 @pytest.mark.slow
+def test_inference_in_short_mode(tmp_path):
+    text = _run("infer_unpublished.py", "--quick", "--out", str(tmp_path))
+    assert "writhe_at_first_contact" in text
+    summary = json.loads((tmp_path / "summary.json").read_text())
+    assert summary["score"] <= summary["score_of_preset"]
+
+
+@pytest.mark.slow
 def test_design_in_short_mode(tmp_path):
     _run("design_rod.py", "--quick", "--out", str(tmp_path))
     summary = json.loads((tmp_path / "summary.json").read_text())
