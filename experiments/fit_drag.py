@@ -3,9 +3,9 @@
     python experiments/fit_drag.py [--elements N] [--seed S] [--quick] [--out DIR]
 
 Normal and tangential coefficient of Morison's drag in `timeline`, each started a factor of 3 off,
-from markers seen between buckling and first contact. The imperfection is fitted with them, as in an
-experiment, where nobody knows it: when the rod buckles depends on it far more than on drag, and also
-on the grid. Writes DIR/summary.json and DIR/fit.png.
+from markers seen between buckling and first contact. The imperfection is fitted with them, as in
+an experiment, where nobody knows it: when the rod buckles depends on it far more than on drag, and
+also on the grid. Writes DIR/summary.json and DIR/fit.png.
 """
 
 import dataclasses
