@@ -53,7 +53,7 @@ def roll(scene: Scene, windows: Windows, method: GeneralizedAlpha | None = None)
     return lax.map(one, windows)
 
 
-def defects(windows: Windows, run: Run) -> Float[Array, "windows-1 nodes 12"]:
+def defects(windows: Windows, run: Run) -> Float[Array, "gaps nodes 12"]:
     """By how much each window's end misses the next one's start.
 
     Columns: position [m], rotation vector in the body frame [rad], velocity [m/s] and angular
