@@ -71,6 +71,7 @@ _TEMPLATES = {
     "GeneralizedAlpha.max_iterations": "1",
     "StepControl.relative": "1",
     "StepControl.absolute": "1",
+    "StepControl.twisting": "rad",
     "StepControl.max_step": "{time}",
     "StepControl.first_step": "{time}",
     "StepControl.min_step": "{time}",

@@ -234,7 +234,7 @@ def test_interrupted_write_keeps_the_earlier_file(example, tmp_path, monkeypatch
         if where == "flush":
             patch.setattr(storage.os, "fsync", interrupt)
         else:
-            patch.setattr(storage, "curvature", interrupt)  # when most of it has been written
+            patch.setattr(storage, "_curvatures", interrupt)  # when most of it has been written
         with pytest.raises(KeyboardInterrupt):
             storage.save(path, *example, measures={"number": 2})
     assert path.read_bytes() == before
