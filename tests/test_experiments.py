@@ -182,6 +182,7 @@ def test_notebook_runs():
     assert len(shown) == 3
 
 
+@pytest.mark.slow
 def test_speed_report_in_short_mode(tmp_path):
     text = _run("speed.py", "--quick", "--out", str(tmp_path))
     summary = json.loads((tmp_path / "summary.json").read_text())
@@ -260,6 +261,7 @@ def test_sweep_in_short_mode(tmp_path):
         assert np.all(file["done"]) and file["results/writhe"].shape == (64,)
 
 
+@pytest.mark.slow
 def test_sensitivity_in_short_mode(tmp_path):
     _run("sensitivity.py", "--quick", "--out", str(tmp_path))
     summary = json.loads((tmp_path / "summary.json").read_text())
