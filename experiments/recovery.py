@@ -45,6 +45,7 @@ class Task(NamedTuple):
     fit: Setting
     fine: Setting
     steps: np.ndarray  # ends of the fit's steps
+    again: tuple[str, ...] = ()  # parameters put back to their guess for a second fit
 
 
 def markers(run: Run, times) -> jax.Array:
@@ -110,6 +111,12 @@ def recover(task: Task, options: argparse.Namespace) -> dict[str, Any]:
         fit = rx.least_squares(
             predict, task.guess, data, bounds=task.bounds, max_steps=25, progress=True
         )
+        if task.again:
+            print(f"\n{name}, first: {fit}")
+            back = fit.parameters | {key: task.guess[key] for key in task.again}
+            fit = rx.least_squares(
+                predict, back, data, bounds=task.bounds, max_steps=15, progress=True
+            )
         seconds = time.perf_counter() - began
         fits[name] = fit
         print(f"\n{name} ({seconds:.1f} s): {fit}")

@@ -1,12 +1,16 @@
-"""Control flow that a batch shares.
+"""How control flow behaves under `vmap`.
 
-Under `vmap` a `cond` whose predicate differs from lane to lane runs both branches, and a loop whose
-length differs copies what it carries in every pass. Lanes that share the largest of their counts
-keep one branch and one length; what a lane has no need of adds nothing to its result.
+There a `cond` whose predicate differs from lane to lane runs both branches, and a loop whose length
+differs copies what it carries in every pass. Small loops share the largest of their counts
+(`largest`); the costly parts of contact are done one lane after the other (`one_by_one`), each in
+its own time and in cache.
 """
+
+from collections.abc import Callable
 
 import jax
 import jax.numpy as jnp
+from jax import lax
 from jaxtyping import Array, Int
 
 
@@ -19,3 +23,36 @@ def largest(count: Int[Array, ""]) -> Int[Array, ""]:
 @largest.def_vmap
 def _largest_of_batch(axis_size, in_batched, count):
     return (jnp.max(count), False) if in_batched[0] else (count, False)
+
+
+def one_by_one(function: Callable) -> Callable:
+    """A function of pytrees whose lanes are mapped in turn where its FIRST argument is batched.
+
+    Where only the others are (several right sides of one system) they are mapped together as usual,
+    which leaves what depends on the first alone to be done once.
+    """
+    inner = jax.custom_batching.custom_vmap(function)
+
+    @inner.def_vmap
+    def _rule(axis_size, in_batched, *arguments):
+        axes = jax.tree.map(lambda batched: 0 if batched else None, in_batched)
+        if not any(jax.tree.leaves(in_batched[0])):
+            # wrapped again for a `vmap` further out
+            out = one_by_one(jax.vmap(function, axes))(*arguments)
+        else:
+            leaves, structure = jax.tree.flatten(arguments)
+            mapped = jax.tree.leaves(in_batched)
+            lanes = [leaf for leaf, batched in zip(leaves, mapped, strict=True) if batched]
+
+            def one(lane):
+                rest = iter(lane)
+                whole = [
+                    next(rest) if batched else leaf
+                    for leaf, batched in zip(leaves, mapped, strict=True)
+                ]
+                return inner(*structure.unflatten(whole))
+
+            out = lax.map(one, lanes)
+        return out, jax.tree.map(lambda _: True, out)
+
+    return inner

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool, Float
 
-from rodjax.batching import largest
+from rodjax.batching import largest, one_by_one
 from rodjax.contact import Contact, Sites, interpolate, sites, spread
 from rodjax.contact_laws import PairProperties, continued
 from rodjax.rod import Rod
@@ -65,6 +65,11 @@ def forces_and_derivative(
     by_velocity: Float[Array, ""],
 ) -> PairForces:
     """`pair_forces` with the derivative, at a cost that follows the number of pairs in use."""
+    return _in_use(joints, contact, where, near, velocities, by_velocity)
+
+
+@one_by_one
+def _in_use(joints, contact, where, near, velocities, by_velocity):
     evaluate, rows = _blocks(contact, where, near, joints, velocities, by_velocity)
     shapes = jax.eval_shape(evaluate, jax.tree.map(lambda leaf: leaf[0], rows))
     force, derivative, ratio, total = jax.tree.map(
@@ -75,7 +80,7 @@ def forces_and_derivative(
         now = evaluate(jax.tree.map(lambda leaf: leaf[i], rows))
         return jax.tree.map(lambda buffer, value: buffer.at[i].set(value), found, now)
 
-    used = (largest(near.count) + BLOCK - 1) // BLOCK
+    used = (near.count + BLOCK - 1) // BLOCK
     found = lax.fori_loop(0, used, body, (force, derivative, ratio + jnp.inf, total))
     return _joined(near, found)
 

@@ -14,7 +14,7 @@ from jax import lax
 from jaxtyping import Array, Float
 
 from rodjax.balance import Scales
-from rodjax.batching import largest
+from rodjax.batching import one_by_one
 from rodjax.block_tridiagonal import BlockTridiagonal, Factors
 from rodjax.contact import Sites, interpolate, sites, spread
 from rodjax.contact_forces import forces_and_derivative, gather, joints_of
@@ -141,27 +141,13 @@ class CoupledSystem(eqx.Module):
 
     def solve(self, b: Float[Array, "nodes 9"]) -> Float[Array, "nodes 9"]:
         """Solution of the system. Under `vmap` over b alone the matrix is eliminated once."""
-        return self._solve(b, lambda b: _solve_columns(self.blocks.factorize(), b))
+        if self.coupling is None:
+            return _solve_columns(self.blocks.factorize(), b)
+        return _solve_shared(self, b)
 
     def solve_once(self, b: Float[Array, "nodes 9"]) -> Float[Array, "nodes 9"]:
         """Solution of the system, in less time where nothing is in contact."""
-        return self._solve(b, lambda b: self.blocks.solve(b))  # noqa: PLW0108 (must be hashable)
-
-    def _solve(self, b, apart):
-        coupling = self.coupling
-        if coupling is None:
-            return apart(b)
-
-        def some(level):
-            return lambda b, factors: _solve_coupled(factors, coupling, level, b)
-
-        branches = [some(level) for level in range(len(coupling.sizes))]
-        level = largest(coupling.near.level)
-
-        def touching(b):
-            return lax.switch(level - 1, branches, b, self.blocks.factorize())
-
-        return lax.cond(level > 0, touching, apart, b)
+        return self.blocks.solve(b) if self.coupling is None else _solve_once(self, b)
 
     def solve_transpose(self, b: Float[Array, "nodes 9"]) -> Float[Array, "nodes 9"]:
         """Solution of the transposed system."""
@@ -171,6 +157,32 @@ class CoupledSystem(eqx.Module):
         """Matrix times vector."""
         product = self.blocks.multiply(b[:, :, None])[:, :, 0]
         return product if self.coupling is None else product + self.coupling.multiply(b)
+
+
+def _solve(system: CoupledSystem, b, apart):
+    """Solution, by the smallest solver that holds the joints in contact, or by `apart`."""
+    coupling = system.coupling
+    assert coupling is not None
+
+    def some(level):
+        return lambda b, factors: _solve_coupled(factors, coupling, level, b)
+
+    branches = [some(level) for level in range(len(coupling.sizes))]
+
+    def touching(b):
+        return lax.switch(coupling.near.level - 1, branches, b, system.blocks.factorize())
+
+    return lax.cond(coupling.near.level > 0, touching, apart, b)
+
+
+@one_by_one
+def _solve_shared(system, b):
+    return _solve(system, b, lambda b: _solve_columns(system.blocks.factorize(), b))
+
+
+@one_by_one
+def _solve_once(system, b):
+    return _solve(system, b, lambda b: system.blocks.solve(b))  # noqa: PLW0108 (must be hashable)
 
 
 def _solve_columns(factors: Factors, b: Float[Array, "nodes 9"]) -> Float[Array, "nodes 9"]:

@@ -170,6 +170,31 @@ def test_newton_system_is_the_exact_derivative(bent):
     )
 
 
+def test_batches_of_right_sides_and_of_systems(bent):
+    """Lanes in contact and out of it, by the solver of their own."""
+    scene, state, _ = bent
+    apart = dataclasses.replace(state, position=state.position.at[13:, 0].add(1.0))
+    both = jax.tree.map(lambda *leaves: jnp.stack(leaves), state, apart)
+    right = jnp.asarray(np.random.default_rng(1).normal(size=(2, state.position.shape[0], 9)))
+
+    @jax.jit
+    def system(state):
+        nearby = find_nearby(scene, state.position)
+        equations = StepEquations(scene, state, jnp.asarray(1e-3), jnp.asarray(0.5), nearby)
+        return equations.linearize(equations.guess())
+
+    one = system(state)
+    assert int(one.coupling.near.level) > 0 and int(system(apart).coupling.near.level) == 0
+    alone = [one.solve(b) for b in right]
+    np.testing.assert_allclose(jax.vmap(one.solve)(right), jnp.stack(alone), rtol=1e-9, atol=1e-12)
+    found = jax.jit(jax.vmap(lambda s, b: system(s).solve_once(b)))(both, right)
+    np.testing.assert_allclose(found[0], alone[0], rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(found[1], system(apart).solve(right[1]), rtol=1e-9, atol=1e-12)
+    # several right sides of several systems
+    grid = jax.jit(jax.vmap(lambda s: jax.vmap(system(s).solve)(right)))(both)
+    np.testing.assert_allclose(grid[0], jnp.stack(alone), rtol=1e-9, atol=1e-12)
+
+
 # where strands settle under each law
 SETTLED = {
     "damped": 0.58 * DIAMETER,
