@@ -80,14 +80,22 @@ def iterate(equations, x, tolerance, max_iterations) -> tuple[Any, NewtonInfo]:
     return end.x, NewtonInfo(result.astype(jnp.int32), end.iterations)
 
 
+@eqx.filter_custom_jvp
 def solve(equations, x, tolerance, max_iterations) -> tuple[Any, NewtonInfo]:
     """Root of the equations from the guess x, differentiable as `root` is.
 
     The guess, the tolerance and the iterations taken have no influence on the derivative.
     """
-    held = constant((equations, x, tolerance, max_iterations))
-    x, info = checkpoint_name(iterate(*held), SOLUTION)
-    return root(equations, x), info
+    return iterate(equations, x, tolerance, max_iterations)
+
+
+@solve.def_jvp
+def _solve_jvp(primals, tangents):
+    # named with its derivatives: named before them, second derivatives under a policy would miss
+    # how the solution moves
+    x, info = checkpoint_name(solve(*primals), SOLUTION)
+    nothing = jax.tree.map(lambda _: None, info)
+    return (x, info), (_tangent(primals[0], x, tangents[0]), nothing)
 
 
 @eqx.filter_custom_jvp
@@ -101,11 +109,15 @@ def root(equations, x):
 
 @root.def_jvp
 def _root_jvp(primals, tangents):
-    equations, x = primals
-    x = root(equations, x)
-    if not any(leaf is not None for leaf in jax.tree.leaves(tangents[0])):
-        return x, jnp.zeros_like(x)
-    _, dr = eqx.filter_jvp(lambda e: e.residual(x), (equations,), (tangents[0],))
+    x = root(*primals)
+    return x, _tangent(primals[0], x, tangents[0])
+
+
+def _tangent(equations, x, change):
+    """How the root x moves with a change of the equations."""
+    if not any(leaf is not None for leaf in jax.tree.leaves(change)):
+        return jnp.zeros_like(x)
+    _, dr = eqx.filter_jvp(lambda e: e.residual(x), (equations,), (change,))
     system = equations.linearize(x)
     dx = lax.custom_linear_solve(
         system.multiply,
@@ -113,7 +125,7 @@ def _root_jvp(primals, tangents):
         lambda _, b: system.solve(b),
         lambda _, b: system.solve_transpose(b),
     )
-    return x, equations.lift(x, dx)
+    return equations.lift(x, dx)
 
 
 def constant(tree: Any) -> Any:
