@@ -204,10 +204,12 @@ def restart(
     still = jnp.zeros_like(state.rate)
     rate, loss = (still, jnp.zeros_like(state.time)) if rod.mass is None else system.project()
     motion = system.moving(rate)
-    wrench = _contact_wrench(scene, motion)
-    wrench = wrench - jnp.concatenate([internal.force, internal.moment], 1)
+    wrench = -jnp.concatenate([internal.force, internal.moment], 1)
     if scene.loads:
         wrench = wrench + total_wrench(scene.loads, rod, motion)
+    if scene.contact is not None:
+        pushed = contact_forces.report(scene.contact, rod, motion.position, motion.velocity).force
+        wrench = wrench.at[:, :3].add(pushed)
     velocities, accelerations = zip(*system.prescribed(ends.rates), strict=True)
 
     if rod.mass is None:
@@ -228,14 +230,6 @@ def restart(
         jerk, _ = system.solve(still, right, system.prescribed(ends.jerk))
         new = dataclasses.replace(new, jerk=jerk)
     return new, loss
-
-
-def _contact_wrench(scene: Scene, motion: NodeMotion) -> Float[Array, "nodes 6"]:
-    """What contact exerts on the nodes."""
-    if scene.contact is None:
-        return jnp.zeros((*motion.position.shape[:1], 6), motion.position.dtype)
-    force = contact_forces.report(scene.contact, scene.rod, motion.position, motion.velocity).force
-    return jnp.concatenate([force, jnp.zeros_like(force)], 1)
 
 
 @compiled

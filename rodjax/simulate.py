@@ -255,9 +255,8 @@ def adaptive_rollout(
     is compiled once and called for `chunk` accepted steps at a time; `on_chunk(part)` is called
     after each, for progress and storage, with a `Run` of its accepted steps (its states lack the
     start, its counts are those so far; see `join_runs`). Not differentiable itself: replay
-    `run.times[1:]`
-    by `rollout`, whose derivative is exact for that schedule. `compile_adaptive_rollout` compiles
-    the loop beforehand.
+    `run.times[1:]` by `rollout`, whose derivative is exact for that schedule.
+    `compile_adaptive_rollout` compiles the loop beforehand.
 
     Raises:
         ValueError: a schedule of the scene ends before `end_time`, or a tolerance is out of
@@ -399,7 +398,7 @@ def _adaptive_chunk(scene, state, control, end_time, method, tolerances, size):
             info.error_position / allowed(info.growth_position, 0.1 * bent * length),
             jnp.maximum(
                 info.error_bending / allowed(info.growth_bending, bent),
-                info.error_twisting / relative * info.growth_twisting + twisting,
+                info.error_twisting / (relative * info.growth_twisting + twisting),
             ),
         )
         # the shock of a new constraint is not resolved but damped: keep the step through it

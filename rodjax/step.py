@@ -299,9 +299,9 @@ def step(
     """Advance the motion from `state.time` to `stop`.
 
     Pure and differentiable; if a constraint begins at the step's start, velocities are first
-    projected onto it. A failed step is reported in
-    `StepInfo.result`, never raised. So is one that strides over the time at which a constraint
-    changes: a step must end exactly there (`rollout` sees to rounding).
+    projected onto it. A failed step is reported in `StepInfo.result`, never raised. So is one that
+    strides over the time at which a constraint changes: a step must end exactly there (`rollout`
+    sees to rounding).
     """
     method = GeneralizedAlpha() if method is None else method
     state = prepare(scene, state)

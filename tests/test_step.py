@@ -375,6 +375,20 @@ def test_adaptive_run_that_fails_keeps_what_there_is(breaking):
     assert int(short.result) == Result.MAX_STEPS and len(short.times) == 5
 
 
+def test_twist_is_resolved_as_its_tolerance_asks():
+    """A straight rod that only twists: no other tolerance holds its steps."""
+    turn = Turn(UP, Smooth([0.0, 1.0, 9.0], [0.0, 1.0, 1.0]))
+    rod = straight_rod(1.0, 8, UNIT_SECTION)
+    scene = Scene(rod, Clamped(rotation=turn), Slider(UP), (LinearDrag(1.0, 1.0, 0.1),))
+
+    def steps(twisting):
+        control = StepControl(max_step=0.5, twisting=twisting, relative=1e-4)
+        return len(adaptive_rollout(scene, start(scene), 2.0, control=control).times)
+
+    coarse, medium, fine = map(steps, (0.5, 1e-3, 1e-5))
+    assert fine > 2 * medium and medium > coarse
+
+
 def test_steps_that_cannot_be_solved_are_reported(driven, counted):
     scene, state = driven
     _, info = counted(scene, state, time(0.3), GeneralizedAlpha(0.8, max_iterations=1))
