@@ -13,10 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, PyTree
 
-
-def as_float(value):
-    """The value as an array of floating point numbers."""
-    return jnp.asarray(value, jnp.result_type(float, jnp.asarray(value).dtype))
+from rodjax.validation import as_float, known
 
 
 class AbstractBound(eqx.Module):
@@ -54,7 +51,7 @@ class Unbounded(AbstractBound):
     scale: Float[Array, ""] = eqx.field(converter=as_float, default=1.0)
 
     def __check_init__(self):
-        if _known(self.scale) and not (np.isfinite(self.scale) and np.asarray(self.scale) > 0):
+        if known(self.scale) and not (np.isfinite(self.scale) and np.asarray(self.scale) > 0):
             raise ValueError(f"scale: must be positive, got {self.scale}")
 
     def to_unbounded(self, value):
@@ -105,7 +102,7 @@ class Interval(AbstractBound):
     high: Float[Array, "..."] = eqx.field(converter=as_float)
 
     def __check_init__(self):
-        if not (_known(self.low) and _known(self.high)):
+        if not (known(self.low) and known(self.high)):
             return
         low, high = np.asarray(self.low), np.asarray(self.high)
         if not np.all(np.isfinite(low) & np.isfinite(high) & (low < high)):
@@ -129,11 +126,6 @@ class Interval(AbstractBound):
 
     def label(self, name):
         return f"logit {name}"
-
-
-def _known(value) -> bool:
-    """Whether a field holds numbers (not a tracer, nor what a transformation puts there)."""
-    return hasattr(value, "shape") and not isinstance(value, jax.core.Tracer)
 
 
 class Unknowns(eqx.Module):

@@ -16,10 +16,7 @@ from jaxtyping import Array, Float, Int
 
 from rodjax.contact_laws import AbstractLaw
 from rodjax.rod import Rod
-
-
-def _as_float(value):
-    return jnp.asarray(value, jnp.result_type(float, jnp.asarray(value).dtype))
+from rodjax.validation import as_float, as_float_or_none
 
 
 class Contact(eqx.Module):
@@ -47,13 +44,11 @@ class Contact(eqx.Module):
 
     law: AbstractLaw
     segments: int = eqx.field(static=True)
-    cutoff: Float[Array, ""] = eqx.field(converter=_as_float)
+    cutoff: Float[Array, ""] = eqx.field(converter=as_float)
     points_per_segment: int = eqx.field(static=True, default=4)
-    aperture: Float[Array, ""] = eqx.field(converter=_as_float, default=np.pi / 2)
-    edge: Float[Array, ""] = eqx.field(converter=_as_float, default=0.25)
-    exclusion: Float[Array, ""] | None = eqx.field(
-        converter=lambda x: None if x is None else _as_float(x), default=None
-    )
+    aperture: Float[Array, ""] = eqx.field(converter=as_float, default=np.pi / 2)
+    edge: Float[Array, ""] = eqx.field(converter=as_float, default=0.25)
+    exclusion: Float[Array, ""] | None = eqx.field(converter=as_float_or_none, default=None)
     capacities: tuple[int, ...] | None = eqx.field(static=True, default=None)
     pairs_per_segment: int = eqx.field(static=True, default=4)
 

@@ -13,8 +13,9 @@ import equinox as eqx
 import jax
 import jax.core
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Float
+
+from rodjax.validation import as_float, check_finite, check_positive
 
 
 class PairProperties(NamedTuple):
@@ -22,26 +23,6 @@ class PairProperties(NamedTuple):
 
     diameter: Float[Array, "..."]
     mass: Float[Array, "..."] | None  # per length
-
-
-def _as_float(value):
-    return jnp.asarray(value, jnp.result_type(float, jnp.asarray(value).dtype))
-
-
-def _positive(**values):
-    for name, value in values.items():
-        if isinstance(value, jax.core.Tracer) or not hasattr(value, "shape"):
-            continue
-        if not np.all(np.isfinite(value)) or np.any(np.asarray(value) <= 0):
-            raise ValueError(f"{name}: must be positive and finite, got {value}")
-
-
-def _finite(**values):
-    for name, value in values.items():
-        if isinstance(value, jax.core.Tracer) or not hasattr(value, "shape"):
-            continue
-        if not np.all(np.isfinite(value)):
-            raise ValueError(f"{name}: must be finite, got {value}")
 
 
 class AbstractLaw(eqx.Module):
@@ -87,22 +68,22 @@ class DampedInversePower(AbstractLaw):
         gap_floor: closer than so many diameters to the pole the law is continued by its tangent.
     """
 
-    k1: Float[Array, ""] = eqx.field(converter=_as_float)
-    k3: Float[Array, ""] = eqx.field(converter=_as_float)
-    reference_spacing: Float[Array, ""] = eqx.field(converter=_as_float)
-    k2: Float[Array, ""] = eqx.field(converter=_as_float, default=3.0)
-    k4: Float[Array, ""] = eqx.field(converter=_as_float, default=1.0)
-    offset: Float[Array, ""] = eqx.field(converter=_as_float, default=0.5)
-    gap_floor: Float[Array, ""] = eqx.field(converter=_as_float, default=0.01)
+    k1: Float[Array, ""] = eqx.field(converter=as_float)
+    k3: Float[Array, ""] = eqx.field(converter=as_float)
+    reference_spacing: Float[Array, ""] = eqx.field(converter=as_float)
+    k2: Float[Array, ""] = eqx.field(converter=as_float, default=3.0)
+    k4: Float[Array, ""] = eqx.field(converter=as_float, default=1.0)
+    offset: Float[Array, ""] = eqx.field(converter=as_float, default=0.5)
+    gap_floor: Float[Array, ""] = eqx.field(converter=as_float, default=0.01)
 
     def __check_init__(self):
-        _positive(
+        check_positive(
             k1=self.k1,
             k2=self.k2,
             reference_spacing=self.reference_spacing,
             gap_floor=self.gap_floor,
         )
-        _finite(k3=self.k3, k4=self.k4, offset=self.offset)
+        check_finite(k3=self.k3, k4=self.k4, offset=self.offset)
 
     def uses_mass(self):
         return True
@@ -123,12 +104,12 @@ class DampedInversePower(AbstractLaw):
 class InversePower(AbstractLaw):
     """psi = strength / d^exponent (Klapper 1996); continued below `floor` D."""
 
-    strength: Float[Array, ""] = eqx.field(converter=_as_float)
-    exponent: Float[Array, ""] = eqx.field(converter=_as_float)
-    floor: Float[Array, ""] = eqx.field(converter=_as_float, default=0.1)
+    strength: Float[Array, ""] = eqx.field(converter=as_float)
+    exponent: Float[Array, ""] = eqx.field(converter=as_float)
+    floor: Float[Array, ""] = eqx.field(converter=as_float, default=0.1)
 
     def __check_init__(self):
-        _positive(strength=self.strength, exponent=self.exponent, floor=self.floor)
+        check_positive(strength=self.strength, exponent=self.exponent, floor=self.floor)
 
     def smallest(self, pair) -> Array:
         return self.floor * pair.diameter
@@ -143,11 +124,11 @@ class LennardJones(AbstractLaw):
     `energy` [J/m^2] per length of either strand, `range` [m]; continued below half the range.
     """
 
-    energy: Float[Array, ""] = eqx.field(converter=_as_float)
-    range: Float[Array, ""] = eqx.field(converter=_as_float)
+    energy: Float[Array, ""] = eqx.field(converter=as_float)
+    range: Float[Array, ""] = eqx.field(converter=as_float)
 
     def __check_init__(self):
-        _positive(energy=self.energy, range=self.range)
+        check_positive(energy=self.energy, range=self.range)
 
     def smallest(self, pair) -> Array:
         return 0.5 * self.range * jnp.ones_like(pair.diameter)
@@ -165,12 +146,12 @@ class DebyeHueckel(AbstractLaw):
     continued below `floor` D.
     """
 
-    strength: Float[Array, ""] = eqx.field(converter=_as_float)
-    screening: Float[Array, ""] = eqx.field(converter=_as_float)
-    floor: Float[Array, ""] = eqx.field(converter=_as_float, default=0.1)
+    strength: Float[Array, ""] = eqx.field(converter=as_float)
+    screening: Float[Array, ""] = eqx.field(converter=as_float)
+    floor: Float[Array, ""] = eqx.field(converter=as_float, default=0.1)
 
     def __check_init__(self):
-        _positive(strength=self.strength, screening=self.screening, floor=self.floor)
+        check_positive(strength=self.strength, screening=self.screening, floor=self.floor)
 
     def smallest(self, pair) -> Array:
         return self.floor * pair.diameter
@@ -188,12 +169,12 @@ class Barrier(AbstractLaw):
     `stiffness` [N/m^3]; continued by its tangent below y = `floor`.
     """
 
-    stiffness: Float[Array, ""] = eqx.field(converter=_as_float)
-    reach: Float[Array, ""] = eqx.field(converter=_as_float, default=0.2)
-    floor: Float[Array, ""] = eqx.field(converter=_as_float, default=0.02)
+    stiffness: Float[Array, ""] = eqx.field(converter=as_float)
+    reach: Float[Array, ""] = eqx.field(converter=as_float, default=0.2)
+    floor: Float[Array, ""] = eqx.field(converter=as_float, default=0.02)
 
     def __check_init__(self):
-        _positive(stiffness=self.stiffness, reach=self.reach, floor=self.floor)
+        check_positive(stiffness=self.stiffness, reach=self.reach, floor=self.floor)
 
     def smallest(self, pair) -> Array:
         return pair.diameter * (1 + self.floor * self.reach)
@@ -211,11 +192,11 @@ class Penalty(AbstractLaw):
     `stiffness` [N/m^3]; C1 throughout.
     """
 
-    stiffness: Float[Array, ""] = eqx.field(converter=_as_float)
-    softness: Float[Array, ""] = eqx.field(converter=_as_float, default=0.05)
+    stiffness: Float[Array, ""] = eqx.field(converter=as_float)
+    softness: Float[Array, ""] = eqx.field(converter=as_float, default=0.05)
 
     def __check_init__(self):
-        _positive(stiffness=self.stiffness, softness=self.softness)
+        check_positive(stiffness=self.stiffness, softness=self.softness)
 
     def smallest(self, pair) -> Array:
         return jnp.zeros_like(pair.diameter)

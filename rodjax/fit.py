@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, PyTree
 
-from rodjax.bounds import Unknowns, as_float, unknowns_of
+from rodjax.bounds import Unknowns, unknowns_of
 from rodjax.compilation import compiled
 from rodjax.fit_results import (
     PART,
@@ -29,6 +29,7 @@ from rodjax.fit_results import (
 )
 from rodjax.marquardt import advance_all, advance_one, begin_all, begin_one
 from rodjax.observations import Observations
+from rodjax.validation import as_float
 
 
 def least_squares(

@@ -20,6 +20,7 @@ from jaxtyping import Array, Float
 from rodjax import rotations
 from rodjax.rod import Rod
 from rodjax.schedules import AbstractSchedule
+from rodjax.validation import as_float, as_float_or_none
 
 
 class NodeMotion(NamedTuple):
@@ -30,10 +31,6 @@ class NodeMotion(NamedTuple):
     quaternion: Float[Array, "nodes 4"]
     velocity: Float[Array, "nodes 3"]  # inertial components
     angular_velocity: Float[Array, "nodes 3"]  # body components
-
-
-def _as_float(value):
-    return jnp.asarray(value, jnp.result_type(float, jnp.asarray(value).dtype))
 
 
 def _check_not_negative(**values):
@@ -96,10 +93,8 @@ def _need(rod: Rod, name: str, load: str) -> Float[Array, " n"]:
 class Gravity(AbstractLoad):
     """Weight less buoyancy, (m - rho_f A_c) g per length, `acceleration` g in inertial axes."""
 
-    acceleration: Float[Array, "3"] = eqx.field(converter=_as_float)
-    fluid_density: Float[Array, ""] | None = eqx.field(
-        converter=lambda x: None if x is None else _as_float(x), default=None
-    )
+    acceleration: Float[Array, "3"] = eqx.field(converter=as_float)
+    fluid_density: Float[Array, ""] | None = eqx.field(converter=as_float_or_none, default=None)
 
     def __check_init__(self):
         _check_vector(acceleration=self.acceleration)
@@ -132,14 +127,12 @@ class MorisonDrag(AbstractLoad):
     moves with the rod (current taken as steady). Source: Morison et al. 1950.
     """
 
-    fluid_density: Float[Array, ""] = eqx.field(converter=_as_float)
-    normal_coefficient: Float[Array, ""] = eqx.field(converter=_as_float)
-    tangential_coefficient: Float[Array, ""] = eqx.field(converter=_as_float)
-    current: Float[Array, "3"] | None = eqx.field(
-        converter=lambda x: None if x is None else _as_float(x), default=None
-    )
+    fluid_density: Float[Array, ""] = eqx.field(converter=as_float)
+    normal_coefficient: Float[Array, ""] = eqx.field(converter=as_float)
+    tangential_coefficient: Float[Array, ""] = eqx.field(converter=as_float)
+    current: Float[Array, "3"] | None = eqx.field(converter=as_float_or_none, default=None)
     added_mass_coefficient: Float[Array, ""] | None = eqx.field(
-        converter=lambda x: None if x is None else _as_float(x), default=None
+        converter=as_float_or_none, default=None
     )
 
     def __check_init__(self):
@@ -193,9 +186,9 @@ class LinearDrag(AbstractLoad):
     all three coefficients positive. c_n, c_t [N s/m^2], c_r [N s].
     """
 
-    normal: Float[Array, ""] = eqx.field(converter=_as_float)
-    tangential: Float[Array, ""] = eqx.field(converter=_as_float)
-    rotational: Float[Array, ""] = eqx.field(converter=_as_float, default=0.0)
+    normal: Float[Array, ""] = eqx.field(converter=as_float)
+    tangential: Float[Array, ""] = eqx.field(converter=as_float)
+    rotational: Float[Array, ""] = eqx.field(converter=as_float, default=0.0)
 
     def __check_init__(self):
         _check_not_negative(

@@ -7,8 +7,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from rodjax.bounds import as_float
 from rodjax.simulate import Run
+from rodjax.validation import as_float, as_float_or_none
 
 
 class Observations(eqx.Module):
@@ -20,9 +20,7 @@ class Observations(eqx.Module):
 
     times: Float[Array, " k"] = eqx.field(converter=as_float)
     values: Float[Array, "k *d"] = eqx.field(converter=as_float)
-    deviation: Float[Array, "..."] | None = eqx.field(
-        converter=lambda x: None if x is None else as_float(x), default=None
-    )
+    deviation: Float[Array, "..."] | None = eqx.field(converter=as_float_or_none, default=None)
 
     def __check_init__(self):
         leaves = (self.times, self.values, self.deviation)

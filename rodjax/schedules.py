@@ -9,6 +9,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from rodjax.validation import as_float
+
 
 class AbstractSchedule(eqx.Module):
     """A scalar or vector given for all times from 0 to `until`."""
@@ -42,14 +44,10 @@ def _check_knots(times, values, name="values"):
         raise ValueError(f"{name}: must be finite")
 
 
-def _as_float(value):
-    return jnp.asarray(value, jnp.result_type(float, jnp.asarray(value).dtype))
-
-
 class Constant(AbstractSchedule):
     """One value for all times."""
 
-    value: Float[Array, "*k"] = eqx.field(converter=_as_float)
+    value: Float[Array, "*k"] = eqx.field(converter=as_float)
 
     def __call__(self, time):
         return self.value
@@ -62,8 +60,8 @@ class Constant(AbstractSchedule):
 class PiecewiseLinear(AbstractSchedule):
     """Linear between knots. Its rate jumps at the knots, which lowers the order of convergence."""
 
-    times: Float[Array, " k"] = eqx.field(converter=_as_float)
-    values: Float[Array, "k *d"] = eqx.field(converter=_as_float)
+    times: Float[Array, " k"] = eqx.field(converter=as_float)
+    values: Float[Array, "k *d"] = eqx.field(converter=as_float)
 
     def __check_init__(self):
         _check_knots(self.times, self.values)
@@ -83,8 +81,8 @@ class PiecewiseLinear(AbstractSchedule):
 class PiecewiseLinearRate(AbstractSchedule):
     """The integral from the first knot of a rate that is linear between knots (Fig. 6)."""
 
-    times: Float[Array, " k"] = eqx.field(converter=_as_float)
-    rates: Float[Array, "k *d"] = eqx.field(converter=_as_float)
+    times: Float[Array, " k"] = eqx.field(converter=as_float)
+    rates: Float[Array, "k *d"] = eqx.field(converter=as_float)
 
     def __check_init__(self):
         _check_knots(self.times, self.rates, "rates")
@@ -109,8 +107,8 @@ class PiecewiseLinearRate(AbstractSchedule):
 class Smooth(AbstractSchedule):
     """Quintic steps from knot to knot: rate and acceleration vanish at every knot (C2)."""
 
-    times: Float[Array, " k"] = eqx.field(converter=_as_float)
-    values: Float[Array, "k *d"] = eqx.field(converter=_as_float)
+    times: Float[Array, " k"] = eqx.field(converter=as_float)
+    values: Float[Array, "k *d"] = eqx.field(converter=as_float)
 
     def __check_init__(self):
         _check_knots(self.times, self.values)

@@ -7,11 +7,12 @@ quaternion, velocity (v), angular_velocity (omega), curvature (kappa), force (f)
 saved states as first axis.
 """
 
+import contextlib
 import dataclasses
 import importlib
 import os
 import pkgutil
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from importlib import metadata
 from pathlib import Path
 from typing import Any
@@ -115,35 +116,24 @@ def save(
     Raises:
         StorageError: an object of a kind that has no place in a file; the message names it.
     """
-    path = Path(path)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
     parts = {"scene": scene, "run": run, "method": method, "control": control}
-    try:
-        with h5py.File(temporary, "w") as file:
-            file.attrs.update(
-                format=FORMAT, format_version=FORMAT_VERSION, rodjax_version=_version()
-            )
-            file.attrs.update({f"unit_of_{k}": name for k, name in units._asdict().items()})
-            write = _Writer(units)
-            for name, part in parts.items():
-                write(file, name, part, name)
-            write(file, "measures", None if measures is None else dict(measures), "measures")
-            for name, unit in (measure_units or {}).items():
-                file[f"measures/{name}"].attrs["units"] = unit
-            write(file, "schedule", schedule, "schedule", units.time)
-            frames = jnp.asarray(run.states.quaternion)
-            kappa = _curvatures(scene.rod, frames)
-            # derived from the quaternions: written for readers of the file, not read back
-            states = file.require_group("run/states")
-            write(states, "curvature", kappa, "curvature", f"rad/{units.length}")
-            for name, symbol in _SYMBOLS.items():
-                states[name].attrs["symbol"] = symbol
-        _flush(temporary)
-        os.replace(temporary, path)
-        _flush(path.parent)
-    finally:
-        temporary.unlink(missing_ok=True)
+    with replacing(Path(path)) as file:
+        file.attrs.update(format=FORMAT, format_version=FORMAT_VERSION, rodjax_version=_version())
+        file.attrs.update({f"unit_of_{k}": name for k, name in units._asdict().items()})
+        write = _Writer(units)
+        for name, part in parts.items():
+            write(file, name, part, name)
+        write(file, "measures", None if measures is None else dict(measures), "measures")
+        for name, unit in (measure_units or {}).items():
+            file[f"measures/{name}"].attrs["units"] = unit
+        write(file, "schedule", schedule, "schedule", units.time)
+        frames = jnp.asarray(run.states.quaternion)
+        kappa = _curvatures(scene.rod, frames)
+        # derived from the quaternions: written for readers of the file, not read back
+        states = file.require_group("run/states")
+        write(states, "curvature", kappa, "curvature", f"rad/{units.length}")
+        for name, symbol in _SYMBOLS.items():
+            states[name].attrs["symbol"] = symbol
 
 
 def load(
@@ -192,6 +182,21 @@ def _version() -> str:
         return metadata.version("rodjax")
     except metadata.PackageNotFoundError:  # run from a source tree
         return getattr(rodjax, "__version__", "unknown")
+
+
+@contextlib.contextmanager
+def replacing(path: Path) -> Iterator[h5py.File]:
+    """A new HDF5 file that takes the place of an earlier one only when complete on the disk."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    try:
+        with h5py.File(temporary, "w") as file:
+            yield file
+        _flush(temporary)
+        os.replace(temporary, path)
+        _flush(path.parent)
+    finally:
+        temporary.unlink(missing_ok=True)
 
 
 def _flush(path: Path) -> None:

@@ -5,7 +5,6 @@ Each device maps its share in a program of its own (`shard_map`), so that the co
 does its share of every round on its own devices, and the first process keeps the file.
 """
 
-import os
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -17,6 +16,8 @@ import numpy as np
 from jax.experimental import multihost_utils
 from jax.sharding import Mesh, PartitionSpec
 from jaxtyping import PyTree
+
+from rodjax.storage import replacing
 
 
 def sweep(
@@ -117,12 +118,9 @@ def _read(path: Path, leaves, count: int) -> tuple[dict[str, np.ndarray], np.nda
 
 
 def _write(path: Path, leaves, found, done) -> None:
-    """Replace the file in one go: an interruption leaves the one before."""
-    temporary = path.with_name(path.name + ".part")
-    with h5py.File(temporary, "w") as file:
+    with replacing(path) as file:
         for i, leaf in enumerate(leaves):
-            file[f"parameters/{i}"] = np.asarray(leaf)
+            file[f"parameters/{i}"] = leaf
         for name, value in found.items():
             file[f"results/{name}"] = value
         file["done"] = done
-    os.replace(temporary, path)
