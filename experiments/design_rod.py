@@ -19,7 +19,7 @@ import jax.numpy as jnp
 import matplotlib.pyplot as plt
 import numpy as np
 import optax
-from example import PRESETS, scene
+from example import PRESETS, resized, scene
 
 import rodjax as rx
 from rodjax import measures
@@ -46,15 +46,7 @@ def shaped(base: rx.Scene, factors) -> rx.Scene:
     """The scene whose diameters are changed by these factors, then all scaled to the same mass."""
     rod = base.rod
     factors = factors * jnp.sqrt(jnp.sum(rod.mass) / jnp.sum(rod.mass * factors**2))
-    new = dataclasses.replace(
-        rod,
-        diameter=factors * rod.diameter,
-        mass=factors**2 * rod.mass,
-        area=factors**2 * rod.area,
-        stiffness=factors[:, None] ** 4 * rod.stiffness,
-        rotary_inertia=factors[:, None] ** 4 * rod.rotary_inertia,
-    )
-    return dataclasses.replace(base, rod=new)
+    return dataclasses.replace(base, rod=resized(rod, factors))
 
 
 def first_contact(base: rx.Scene, times, factors):

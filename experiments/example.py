@@ -6,6 +6,7 @@ What the paper's text gives is fixed here; what it leaves to figures that cannot
 
 import dataclasses
 
+import jax.numpy as jnp
 import numpy as np
 
 from rodjax.contact import Contact
@@ -114,6 +115,19 @@ def rod(preset: Preset, elements: int) -> Rod:
         direction=LOADING_AXIS,
         natural_curvature=(preset.seed_curvature, 0.0, 0.0),
         jumps=NECK,
+    )
+
+
+def resized(rod: Rod, factor) -> Rod:
+    """The rod with its diameter times a factor, or one for each element, of the same material."""
+    factor = jnp.broadcast_to(factor, rod.diameter.shape)
+    return dataclasses.replace(
+        rod,
+        diameter=factor * rod.diameter,
+        mass=factor**2 * rod.mass,
+        area=factor**2 * rod.area,
+        stiffness=factor[:, None] ** 4 * rod.stiffness,
+        rotary_inertia=factor[:, None] ** 4 * rod.rotary_inertia,
     )
 
 

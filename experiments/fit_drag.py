@@ -53,7 +53,7 @@ def main(argv=None) -> int:
         "tangential_coefficient": 0.01 / 3,
         "seed_curvature": 1.5 * SEED,
     }
-    steps = recovery.steps_between(0.0, end, count)
+    steps = np.linspace(0.0, end, count + 1)[1:]
     task = recovery.Task(truth, guess, rx.Positive(), replaced, *settings, steps)
     recovery.recover(task, options)
     return 0

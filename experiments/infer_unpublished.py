@@ -20,7 +20,7 @@ from typing import NamedTuple
 import _settings  # noqa: F401 (first)
 import jax.numpy as jnp
 import numpy as np
-from example import LAST_TIME, LOADING_AXIS, PRESETS, scene
+from example import LAST_TIME, LOADING_AXIS, PRESETS, resized, scene
 
 import rodjax as rx
 from rodjax import measures
@@ -72,17 +72,9 @@ def guess() -> dict[str, float]:
 
 def built(base: rx.Scene, p) -> rx.Scene:
     """The example with these inputs."""
-    size = p["diameter"] / PRESET.diameter
-    rod = base.rod
-    rod = dataclasses.replace(
-        rod,
-        diameter=size * rod.diameter,
-        mass=size**2 * rod.mass,
-        area=size**2 * rod.area,
-        stiffness=size**4 * rod.stiffness,
-        rotary_inertia=size**4 * rod.rotary_inertia,
-        natural_curvature=p["seed_curvature"] / PRESET.seed_curvature * rod.natural_curvature,
-    )
+    rod = resized(base.rod, p["diameter"] / PRESET.diameter)
+    seed = p["seed_curvature"] / PRESET.seed_curvature
+    rod = dataclasses.replace(rod, natural_curvature=seed * rod.natural_curvature)
     times = jnp.stack([jnp.zeros(()), p["ramp_end"], jnp.asarray(LAST_TIME)])
     turns = jnp.stack(
         [

@@ -1,0 +1,307 @@
+"""What each part of a scene costs: a ladder from a static rod to the whole example.
+
+    python experiments/ladder.py [--elements N] [--repeats K] [--quick] [--out DIR]
+
+Each rung adds one part to the rung before. For each, the operations in the traced program of a
+step, the time to compile a rollout and the time of a warm step are measured. Below the ladder: what
+it saves to leave inertia out, and what it would to hold Newton's matrix through a step. Writes
+DIR/ladder.md, DIR/ladder.png and DIR/summary.json.
+"""
+
+import argparse
+import dataclasses
+import json
+import statistics
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import _settings  # noqa: F401 (first)
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import matplotlib.pyplot as plt
+import numpy as np
+from example import PRESETS, contact_law, drive, rod, scene
+
+import rodjax as rx
+from rodjax import newton
+from rodjax.compilation import compiled
+from rodjax.coupled import find_nearby
+from rodjax.equilibrium import placing
+from rodjax.step import StepEquations
+
+jax.config.update("jax_enable_compilation_cache", False)
+
+PRESET = PRESETS["timeline"]
+AXIS = (0.0, 1.0, 0.0)
+STEP = 0.02  # [s]
+TOUCHING = 30.5  # when the rod of the last rung has intertwined [s]
+
+
+class Rung(NamedTuple):
+    """A scene, and the state its steps begin from (None: its own start)."""
+
+    name: str
+    scene: rx.Scene
+    state: rx.State | None = None
+
+
+def rungs(elements: int, quick: bool) -> list[Rung]:
+    """The ladder, each with one part more than the one before; the first is static."""
+    slender = rod(PRESET, elements)
+    plain = dataclasses.replace(slender, rotary_inertia=None)
+    driven, slider = rx.Clamped(rotation=drive(PRESET)), rx.Slider(AXIS)
+    drag = rx.MorisonDrag(1000.0, normal_coefficient=0.1, tangential_coefficient=0.01)
+    gravity = rx.Gravity((0.0, 0.0, -1e-4))
+    held = rx.Switched(slider, rx.Clamped(), 30.0)
+    contact = contact_law(PRESET)
+    whole = scene(PRESET, elements)
+    touching = None
+    if not quick:
+        control = rx.StepControl(*PRESET.tolerances, PRESET.max_step)
+        touching = rx.adaptive_rollout(whole, rx.start(whole), TOUCHING, control=control).final
+    ladder = [
+        Rung("statics of a cantilever", rx.Scene(plain, rx.Clamped(), loads=(gravity,))),
+        Rung("clamped and sliding rod", rx.Scene(plain, rx.Clamped(), slider)),
+        Rung("+ rotary inertia", rx.Scene(slender, rx.Clamped(), slider)),
+        Rung("+ drive", rx.Scene(slender, driven, slider)),
+        Rung("+ gravity", rx.Scene(slender, driven, slider, (gravity,))),
+        Rung("+ drag", rx.Scene(slender, driven, slider, (gravity, drag))),
+        Rung("+ an end held later", rx.Scene(slender, driven, held, (gravity, drag))),
+        Rung("+ contact, nothing near", rx.Scene(slender, driven, held, (gravity, drag), contact)),
+    ]
+    return [*ladder, Rung("the example, touching", whole, touching)] if touching else ladder
+
+
+def lighter(elements: int) -> list[Rung]:
+    """The same twisted rod in linear drag, with less and less inertia."""
+    slender = rod(PRESET, elements)
+    ends = rx.Clamped(rotation=drive(PRESET)), rx.Slider(AXIS)
+    drag = rx.LinearDrag(normal=1e-3, tangential=1e-3, rotational=1e-9)
+    rods = {
+        "linear drag, all inertia": slender,
+        "without rotary inertia": dataclasses.replace(slender, rotary_inertia=None),
+        "without inertia": dataclasses.replace(slender, rotary_inertia=None, mass=None),
+    }
+    return [Rung(name, rx.Scene(one, *ends, (drag,))) for name, one in rods.items()]
+
+
+def operations(jaxpr) -> int:
+    """Equations of a traced program, those of its inner programs counted once each."""
+    total = 0
+    for equation in jaxpr.eqns:
+        total += 1
+        for parameter in jax.tree.leaves(
+            list(equation.params.values()), is_leaf=lambda x: hasattr(x, "eqns")
+        ):
+            inner = getattr(parameter, "jaxpr", parameter)
+            if hasattr(inner, "eqns"):
+                total += operations(inner)
+    return total
+
+
+@compiled
+def _steps(scene: rx.Scene, state: rx.State, count: int):
+    """So many equal steps: the worst result and all iterations."""
+    stops = state.time + STEP * jnp.arange(1, count + 1)
+    run = rx.rollout(scene, state, stops, save_every=count, throw=False)
+    return run.result, jnp.sum(run.infos.iterations)
+
+
+@compiled
+def _static(scene: rx.Scene, state: rx.State, count: int):
+    """A static load path in so many steps."""
+    _, info = rx.equilibrium(scene, state, load_steps=count, throw=False)
+    return info.result, info.iterations
+
+
+def timed(program: Callable, scene: rx.Scene, state: rx.State, count: int, repeats: int):
+    """Seconds to compile a program of `count` steps and of one warm step, and its iterations."""
+    call = lambda: jax.block_until_ready(program(scene, state, count))
+    began = time.perf_counter()
+    result, iterations = call()
+    first = time.perf_counter() - began
+    if int(result) != 0:
+        raise RuntimeError(f"a rung failed: {rx.Result(int(result)).name}")
+    seconds = []
+    for _ in range(repeats):
+        began = time.perf_counter()
+        call()
+        seconds.append(time.perf_counter() - began)
+    warm = statistics.median(seconds)
+    return first - warm, warm / count, float(iterations) / count
+
+
+def measured(rung: Rung, count: int, repeats: int, static: bool = False) -> dict[str, Any]:
+    """One row of the table."""
+    if static:
+        state, program = placing(rung.scene), _static
+        traced = lambda scene, state: rx.equilibrium(scene, state, throw=False)
+    else:
+        state = rx.start(rung.scene) if rung.state is None else rung.state
+        program, traced = _steps, lambda scene, state: rx.step(scene, state, state.time + STEP)
+    seconds, each, iterations = timed(program, rung.scene, state, count, repeats)
+    return {
+        "name": rung.name,
+        "operations": operations(jax.make_jaxpr(traced)(rung.scene, state).jaxpr),
+        "compile_seconds": seconds,
+        "step_milliseconds": 1e3 * each,
+        "iterations_per_step": iterations,
+    }
+
+
+@eqx.filter_jit
+def _both_iterations(scene: rx.Scene, state: rx.State, stop):
+    """Iterations of one step by Newton's method, and with the matrix of the step's guess."""
+    nearby = None
+    method = rx.GeneralizedAlpha()
+    equations = StepEquations(scene, state, stop, method.spectral_radius)
+    if scene.contact is not None:
+        expected = equations.increment(equations.guess())[:, :3]
+        nearby = find_nearby(scene, state.position, expected)
+        equations = dataclasses.replace(equations, nearby=nearby)
+    guess = equations.limited(equations.guess())
+    tolerance = method.newton_tolerance(state.position.dtype)
+    _, solved = newton.iterate(equations, guess, tolerance, method.max_iterations)
+    _, held = newton.iterate(_Held(equations, guess), guess, tolerance, 50)
+    converged = (solved.result == 0) & (held.result == 0)
+    return jnp.where(converged, solved.iterations, -1), held.iterations
+
+
+class _Held(eqx.Module):
+    """Equations of a step whose matrix stays that of the guess (a frozen Jacobian)."""
+
+    equations: StepEquations
+    guess: jax.Array
+
+    def __getattr__(self, name):
+        return getattr(self.equations, name)
+
+    def newton_increment(self, x):
+        return self.equations.linearize(self.guess).solve(-self.equations.residual(x))
+
+
+def held_matrix(elements: int, until: float, sample: int) -> dict[str, Any]:
+    """What a matrix held through each step would save over the whole example, and what it costs."""
+    whole = scene(PRESET, elements)
+    control = rx.StepControl(*PRESET.tolerances, PRESET.max_step)
+    run = rx.adaptive_rollout(whole, rx.start(whole), until, control=control)
+    counts = []
+    for k in range(1, len(run.times) - 1, sample):
+        pair = _both_iterations(whole, run.state(k), run.times[k + 1])
+        counts.append([int(count) for count in pair])
+    counts = np.asarray(counts)
+    good = counts[:, 0] > 0
+    return {
+        "steps": len(counts),
+        "failed_with_held_matrix": int(np.sum(~good)),
+        "newton_iterations": float(np.mean(counts[good, 0])),
+        "held_iterations": float(np.mean(counts[good, 1])),
+    }
+
+
+def iteration_cost(elements: int, repeats: int) -> float:
+    """An iteration with a factorised matrix, over a whole one, where nothing touches."""
+    free = scene(PRESET, elements, contact=False)
+    state = rx.start(free)
+    equations = StepEquations(free, state, state.time + STEP, jnp.asarray(0.5))
+    guess = equations.guess()
+    whole = compiled(lambda e, x: e.newton_increment(x))
+    held = compiled(lambda e, x, factors: factors.solve(-e.residual(x)[:, :, None])[:, :, 0])
+    factors = compiled(lambda e, x: e.linearize(x).blocks.factorize())(equations, guess)
+    jobs = (lambda: whole(equations, guess), lambda: held(equations, guess, factors))
+    seconds: tuple[list[float], list[float]] = ([], [])
+    for _ in range(20 * repeats):
+        for job, found in zip(jobs, seconds, strict=True):
+            began = time.perf_counter()
+            jax.block_until_ready(job())
+            found.append(time.perf_counter() - began)
+    return statistics.median(seconds[1][5:]) / statistics.median(seconds[0][5:])
+
+
+def table(rows: list[dict[str, Any]]) -> str:
+    """The rows in Markdown."""
+    lines = [
+        "| scene | operations traced | compilation [s] | a step [ms] | iterations a step |",
+        "|---|---:|---:|---:|---:|",
+    ]
+    for row in rows:
+        lines.append(
+            f"| {row['name']} | {row['operations']} | {row['compile_seconds']:.1f}"
+            f" | {row['step_milliseconds']:.2f} | {row['iterations_per_step']:.2f} |"
+        )
+    return "\n".join(lines) + "\n"
+
+
+def draw(rows: list[dict[str, Any]], out: Path) -> None:
+    """The three costs of every rung."""
+    names = [row["name"] for row in rows]
+    figure, axes = plt.subplots(
+        1, 3, figsize=(11, 0.34 * len(rows) + 1.2), sharey=True, layout="constrained"
+    )
+    kinds = {
+        "operations": "operations traced for a step",
+        "compile_seconds": "compilation of a rollout [s]",
+        "step_milliseconds": "a warm step [ms]",
+    }
+    for one, (key, label) in zip(axes, kinds.items(), strict=True):
+        values = [row[key] for row in rows]
+        bars = one.barh(range(len(rows)), values, color="C0")
+        one.bar_label(bars, [f"{v:.3g}" if v < 1000 else f"{v:.0f}" for v in values], padding=3)
+        one.set_xlim(0, 1.18 * max(values))
+        one.set_xlabel(label)
+    axes[0].set_yticks(range(len(rows)), names)
+    axes[0].invert_yaxis()
+    figure.savefig(out / "ladder.png", dpi=130)
+    plt.close(figure)
+
+
+def arguments(argv=None) -> argparse.Namespace:
+    """Options of the command line."""
+    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser.add_argument("--elements", type=int, metavar="N", help="default 100 (10 with --quick)")
+    parser.add_argument("--repeats", type=int, metavar="K", help="default 9 (2 with --quick)")
+    parser.add_argument("--quick", action="store_true", help="coarse, without the last rungs")
+    parser.add_argument("--out", type=Path, default=Path("results/ladder"), metavar="DIR")
+    options = parser.parse_args(argv)
+    options.elements = options.elements or (10 if options.quick else 100)
+    options.repeats = options.repeats or (2 if options.quick else 9)
+    return options
+
+
+def main(argv=None) -> int:
+    """Measure, print and write."""
+    options = arguments(argv)
+    options.out.mkdir(parents=True, exist_ok=True)
+    count = 5 if options.quick else 50
+    ladder = rungs(options.elements, options.quick)
+    jobs = ladder[:3] if options.quick else [*ladder, *lighter(options.elements)]
+    rows = []
+    for rung in jobs:
+        rows.append(measured(rung, count, options.repeats, static=rung is ladder[0]))
+        print(table(rows).splitlines()[-1], flush=True)
+    held = held_matrix(options.elements, 1.0 if options.quick else 32.0, 4)
+    held["cost_of_held_iteration"] = iteration_cost(options.elements, options.repeats)
+    print(
+        f"matrix held through a step: {held['held_iterations']:.1f} iterations for"
+        f" {held['newton_iterations']:.1f}, each at {held['cost_of_held_iteration']:.2f} of the"
+        f" cost; {held['failed_with_held_matrix']} of {held['steps']} steps failed with it"
+    )
+    summary = {
+        "elements": options.elements,
+        "steps_timed": count,
+        "repeats": options.repeats,
+        "rows": rows,
+        "held_matrix": held,
+    }
+    (options.out / "ladder.md").write_text(table(rows))
+    (options.out / "summary.json").write_text(json.dumps(summary, indent=2) + "\n")
+    draw(rows, options.out)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
