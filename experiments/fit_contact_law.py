@@ -24,7 +24,7 @@ from rodjax.contact_forces import report
 
 GAP = 5e-3  # [m], of the pole to the point where the strength is given
 K1, K2, K3 = 1e-7, 3.0, 1e-6 * 1e5
-BEGIN, END = 26.0, 33.0  # [s]
+BEGIN, END = 28.0, 35.0  # [s]
 LONGEST_DELAY = 0.25  # [s]
 
 
@@ -42,7 +42,7 @@ def replaced(base, parameters):
 def main(argv=None) -> int:
     """Fit and report."""
     options = recovery.arguments("fit_contact_law", __doc__, (200, 20), argv)
-    begin, end, count, seen = (BEGIN, 28.0, 20, 4) if options.quick else (BEGIN, END, 140, 28)
+    begin, end, count, seen = (BEGIN, 30.0, 20, 4) if options.quick else (BEGIN, END, 140, 28)
     observed = np.linspace(begin, end, seen + 1)[1:]
     preset = dataclasses.replace(PRESETS["timeline"], hold_at=None)
     settings = []

@@ -34,7 +34,7 @@ from rodjax.sweep import sweep
 PRESET = PRESETS["timeline"]
 FORCE = 1e-6  # first contact: sum of all contact forces [N]
 FACTORS = {  # on the preset's values
-    "twist": (0.9, 1.0, 1.1, 1.2),
+    "twist": (1.0, 1.1, 1.2, 1.3),
     "drag": (0.3, 1.0, 3.0, 10.0),
     "strength": (0.5, 1.0, 3.0, 10.0),
 }
@@ -116,7 +116,8 @@ def draw(found, out: Path) -> None:
         2, shape[0], figsize=(3 * shape[0], 5.6), layout="constrained", squeeze=False
     )
     for row, (name, label) in enumerate(rows.items()):
-        values = np.where(found["result"] == 0, found[name], np.nan).reshape(shape)
+        failed = (found["result"] != 0).reshape(shape)
+        values = np.where(failed, np.nan, found[name].reshape(shape))
         low, high = np.nanmin(values), np.nanmax(values)
         for column in range(shape[0]):
             one = axes[row, column]
@@ -126,7 +127,8 @@ def draw(found, out: Path) -> None:
             one.set_xlabel("k1 / preset's")
             for i, j in itertools.product(range(shape[1]), range(shape[2])):
                 value = values[column, i, j]
-                text = "failed" if np.isnan(value) else f"{value:.2f}"
+                text = "none" if np.isnan(value) else f"{value:.2f}"
+                text = "failed" if failed[column, i, j] else text
                 light = value < 0.5 * (low + high)
                 one.text(j, i, text, ha="center", va="center", color="w" if light else "k")
         axes[0, 0].set_ylabel("drag / preset's")

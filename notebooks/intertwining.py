@@ -44,8 +44,8 @@ jax.config.update("jax_enable_x64", True)  # contact and inextensibility need do
 # %%
 from rodjax.rod import circular_section, straight_rod
 
-diameter = 3e-4  # [m], assumed
-seed = 1e-3  # natural curvature about a_1 [1/m], assumed
+diameter = 3.14e-4  # [m], assumed
+seed = 0.05  # natural curvature about a_1 [1/m], assumed
 axis = (0.0, 1.0, 0.0)  # the loading axis e2
 
 
@@ -69,15 +69,15 @@ print(
 # %% [markdown]
 # ## The ends
 #
-# The right end, $s = 0$, is turned about $e_2$: 4 turns in the first 6 s, then 0.02 turns a second
-# (assumed). Turned by *minus* these turns, it gives a positive linking number. The left end slides
-# along $e_2$ and is held from 30 s on.
+# The right end, $s = 0$, is turned about $e_2$: 4 turns in the first 14.2 s, then 0.023 turns a
+# second (assumed). Turned by *minus* these turns, it gives a positive linking number. The left end
+# slides along $e_2$ and is held from 30 s on.
 
 # %%
 from rodjax.ends import Clamped, Slider, Switched, Turn
 from rodjax.schedules import PiecewiseLinear
 
-turns = PiecewiseLinear([0.0, 6.0, 106.0], -2 * np.pi * np.array([0.0, 4.0, 6.0]))
+turns = PiecewiseLinear([0.0, 14.2, 114.2], -2 * np.pi * np.array([0.0, 4.0, 6.3]))
 right_end = Clamped(rotation=Turn(axis, turns))
 left_end = Switched(Slider(axis), Clamped(), 30.0)
 

@@ -119,7 +119,7 @@ def test_fixed_steps_without_contact(tmp_path):
     summary = json.loads((tmp_path / "summary.json").read_text())
     assert (summary["result"], summary["steps"]) == ("SUCCESS", 21)
     assert summary["end_time"] == pytest.approx(2.05, rel=1e-12)
-    assert summary["turns_end"] == pytest.approx(4 * 2.05 / 6, rel=1e-12)
+    assert summary["turns_end"] == pytest.approx(4 * 2.05 / 14.2, rel=1e-12)
     assert summary["contact"] is False
     assert summary["contact_settled"] is None
     assert summary["linking_error_max"] < 1e-9
@@ -151,7 +151,7 @@ def test_bad_options_are_refused(capsys, arguments, message):
 
 @pytest.mark.parametrize(
     ("name", "turns"),
-    [("timeline", {0: 0, 3: 2, 6: 4, 32: 4.52}), ("stout", {8: 2, 16: 4, 32: 4.5})],
+    [("timeline", {0: 0, 7.1: 2, 14.2: 4, 32: 4.4094}), ("stout", {8: 2, 16: 4, 32: 4.5})],
 )
 def test_presets_turn_as_described(name, turns):
     preset = example.PRESETS[name]
