@@ -239,7 +239,7 @@ def test_inference_in_short_mode(tmp_path):
     text = _run("infer_unpublished.py", "--quick", "--out", str(tmp_path))
     assert "writhe_at_first_contact" in text
     summary = json.loads((tmp_path / "summary.json").read_text())
-    assert summary["score"] <= summary["score_of_preset"]
+    assert summary["score"] <= summary["score_of_guess"]
 
 
 @pytest.mark.slow
@@ -273,3 +273,13 @@ def test_sensitivity_in_short_mode(tmp_path):
     # nothing touches before 16 s, so the strength of contact decides nothing yet
     writhe = [one["writhe"][-1] for one in summary["runs"]]
     assert writhe[0] > 0 and writhe[1] == pytest.approx(writhe[0], rel=1e-9)
+
+
+@pytest.mark.slow
+def test_ladder_in_short_mode(tmp_path):
+    _run("ladder.py", "--quick", "--out", str(tmp_path))
+    summary = json.loads((tmp_path / "summary.json").read_text())
+    static, plain, rotary = summary["rows"]
+    assert static["iterations_per_step"] > 0 and plain["operations"] < rotary["operations"]
+    assert summary["held_matrix"]["failed_with_held_matrix"] == 0
+    assert (tmp_path / "ladder.png").exists()
