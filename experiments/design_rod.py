@@ -33,13 +33,13 @@ FORCE = 1e-6  # first contact: sum of all contact forces [N]
 def arguments(argv=None) -> argparse.Namespace:
     """Options of the command line."""
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
-    parser.add_argument("--elements", type=int, metavar="N", help="default 120 (20 with --quick)")
-    parser.add_argument("--steps", type=int, metavar="K", help="of the descent; default 25 (2)")
+    parser.add_argument("--elements", type=int, metavar="N", help="default 100 (20 with --quick)")
+    parser.add_argument("--steps", type=int, metavar="K", help="of the descent; default 15 (2)")
     parser.add_argument("--quick", action="store_true", help="coarse and short, to try it out")
     parser.add_argument("--out", type=Path, default=Path("results/design_rod"), metavar="DIR")
     options = parser.parse_args(argv)
-    options.elements = options.elements or (20 if options.quick else 120)
-    options.steps = options.steps or (2 if options.quick else 25)
+    options.elements = options.elements or (20 if options.quick else 100)
+    options.steps = options.steps or (2 if options.quick else 15)
     return options
 
 
@@ -91,7 +91,7 @@ def main(argv=None) -> int:
         base = dataclasses.replace(
             base, contact=dataclasses.replace(base.contact, segments=40, points_per_segment=8)
         )
-    last, count = (32.0, 130) if options.quick else (60.0, 600)
+    last, count = (32.0, 130) if options.quick else (45.0, 300)
     times = np.linspace(0.0, last, count + 1)[1:]
     # a rod that is never in contact has a loss without slope: the end of the run stands for it
     loss = lambda factors: -jnp.minimum(first_contact(base, times, factors)[0], last)
@@ -100,7 +100,7 @@ def main(argv=None) -> int:
         loss,
         jnp.ones(options.elements),
         bounds=rx.Interval(1 - RANGE, 1 + RANGE),
-        optimizer=optax.adam(0.05),
+        optimizer=optax.adam(0.1),
         max_steps=options.steps,
         progress=True,
     )
