@@ -128,7 +128,7 @@ def extrapolated(
         steps = None if coarse.steps is None else 2 * coarse.steps
         fine = Case(2 * coarse.elements, steps, coarse.tolerance)
         b = measured.get(fine)
-        if b is None or "SUCCESS" != a.outcome.result or "SUCCESS" != b.outcome.result:
+        if b is None or a.outcome.result != "SUCCESS" or b.outcome.result != "SUCCESS":
             continue
         both = lambda name, a=a, b=b: [float(np.median(getattr(x, name))) for x in (a, b)]
         iterations = (a.outcome.iterations or 0) + (b.outcome.iterations or 0)

@@ -34,7 +34,6 @@ from rodjax.results import Result
 from rodjax.scene import Scene
 from rodjax.simulate import Run, StepControl, adaptive_rollout, rollout
 
-
 LONG = 10.0  # warm seconds after which a case is not repeated again
 
 
@@ -78,7 +77,7 @@ class CannotRun(NamedTuple):
 
 
 def timed(job: Job, repeats: int) -> Measured:
-    """Cost of a job: a first call, which compiles, then the warm ones (fewer where they are long)."""
+    """Cost of a job: a first call, which compiles, then the warm ones (fewer if they are long)."""
     began = time.perf_counter()
     found = jax.block_until_ready(job.run())
     first = time.perf_counter() - began
@@ -253,7 +252,7 @@ def differential_equation(problem: Problem, case: Case, solver) -> Job:
     return Job(lambda: _solve(scene, y0, times, solver, tolerance), read)
 
 
-EXPLICIT_TOLERANCES = (1e-3, 1e-4, 1e-5)  # on the coarsest grids
+EXPLICIT_TOLERANCES = (1e-5, 1e-5, 1e-5)  # on the coarsest grids
 
 
 def explicit_cases(problem: Problem) -> Sequence[Case]:

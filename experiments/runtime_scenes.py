@@ -132,7 +132,7 @@ PROBLEMS = {
         until(1.0, 20),
         (20, 40, 80, 160),
         4,
-        (640, 256),
+        (320, 256),
         compliant=True,
     ),
     "cantilever_inextensible": Problem(
@@ -141,7 +141,7 @@ PROBLEMS = {
         until(1.0, 20),
         (20, 40, 80, 160),
         4,
-        (640, 256),
+        (320, 256),
     ),
     "buckling": Problem(
         "torsional buckling",
@@ -149,7 +149,7 @@ PROBLEMS = {
         until(8.0, 40),
         (20, 40, 80, 160),
         4,
-        (640, 128),
+        (320, 128),
         compliant=True,
         writhe=True,
     ),
@@ -159,7 +159,7 @@ PROBLEMS = {
         until(8.0, 40),
         (20, 40, 80, 160),
         4,
-        (640, 128),
+        (320, 128),
         writhe=True,
     ),
     "example_before_contact": Problem(
@@ -168,7 +168,7 @@ PROBLEMS = {
         until(25.0, 50),
         (40, 80, 160),
         5,
-        (640, 40),
+        (320, 40),
         writhe=True,
     ),
     "example": Problem(
