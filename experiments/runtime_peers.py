@@ -1,7 +1,7 @@
 """The other codes of `peers.py` as methods of `error_vs_runtime.py`.
 
-A peer gives positions at its problem's times and equally spaced points, and times its own warm
-run. Its problem must be the one of `runtime_scenes` by name: the times are compared.
+A peer gives positions at the times asked for and at equally spaced points, and times its own warm
+run. Its problem must be the one that has the same name in `runtime_scenes`, the times apart.
 """
 
 import dataclasses
@@ -69,10 +69,13 @@ def peer_methods(problems: dict[str, Problem]) -> dict[str, Peer]:
     names = {problem.title: name for name, problem in problems.items()}
 
     def runner(peer):
-        def run(scene, elements, dt):
-            if scene not in peers.PROBLEMS:
+        def run(name, elements, dt):
+            if name not in peers.PROBLEMS:
                 return CannotRun("has no such problem in peers.py")
-            return peers.run(peer, scene, elements, dt)
+            problem, times = peers.PROBLEMS[name], problems[name].times
+            if not problems[name].static:
+                problem = dataclasses.replace(problem, times=times)
+            return peers.PEERS[peer](problem, elements, dt)
 
         return run
 
