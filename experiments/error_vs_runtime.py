@@ -35,7 +35,9 @@ from runtime_report import (
     levels,
     line,
 )
-from runtime_scenes import PROBLEMS, Problem, combine, errors
+from runtime_scenes import PROBLEMS, Problem, errors
+
+from rodjax.extrapolation import extrapolate
 
 BEGAN = time.perf_counter()
 QUICK_SCENES = ("cantilever",)
@@ -133,7 +135,7 @@ def extrapolated(
         both = lambda name, a=a, b=b: [float(np.median(getattr(x, name))) for x in (a, b)]
         iterations = (a.outcome.iterations or 0) + (b.outcome.iterations or 0)
         outcome = b.outcome._replace(
-            record=combine(1 / 3, a.outcome.record, b.outcome.record),
+            record=extrapolate(a.outcome.record, b.outcome.record),
             steps=a.outcome.steps + b.outcome.steps,
             iterations=iterations,
         )

@@ -12,6 +12,7 @@ wall seconds run until the arrays are there (`block_until_ready`).
 import dataclasses
 import time
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any, NamedTuple
 
 import _settings  # noqa: F401 (first)
@@ -144,21 +145,21 @@ def read_run(problem: Problem, scene: Scene, run: Run) -> Outcome:
 # Default scheme
 
 
-def fixed_steps(problem: Problem, case: Case, spectral_radius: float = 0.5, dtype=None) -> Job:
-    """The default scheme at given steps."""
-    scene = problem.build(case.elements)
-    if dtype is not None:
-        cast = lambda leaf: leaf.astype(dtype) if eqx.is_inexact_array(leaf) else leaf
-        scene = jax.tree.map(cast, scene)
+def given_steps(
+    problem: Problem, case: Case, integrate: Callable[..., Run], dtype=jnp.float64
+) -> Job:
+    """Any integrator (scene, state, times) -> Run, at equal steps."""
+    cast = lambda leaf: leaf.astype(dtype) if eqx.is_inexact_array(leaf) else leaf
+    scene = jax.tree.map(cast, problem.build(case.elements))
     first = start(scene)
-    times = jnp.linspace(0.0, problem.times[-1], case.steps + 1)[1:]
-    method = GeneralizedAlpha(spectral_radius)
-    if dtype is not None:
-        times, method = times.astype(dtype), jax.tree.map(cast, method)
-    return Job(
-        lambda: rollout(scene, first, times, method, throw=False),
-        lambda run: read_run(problem, scene, run),
-    )
+    times = jnp.linspace(0.0, problem.times[-1], case.steps + 1, dtype=dtype)[1:]
+    return Job(lambda: integrate(scene, first, times), lambda run: read_run(problem, scene, run))
+
+
+def fixed_steps(problem: Problem, case: Case, rho: float = 0.5, dtype=jnp.float64) -> Job:
+    """The default scheme."""
+    method = GeneralizedAlpha(jnp.asarray(rho, dtype))
+    return given_steps(problem, case, partial(rollout, method=method, throw=False), dtype)
 
 
 def chosen_steps(problem: Problem, case: Case) -> Job:
@@ -197,6 +198,11 @@ def on_ladder(problem: Problem) -> Sequence[Case]:
         return ()
     together = [Case(n, steps) for n, steps in problem.ladder]
     return (*together, *(Case(n, 4 * steps) for n, steps in problem.ladder[:-1]))
+
+
+def on_kirchhoff_ladder(problem: Problem) -> Sequence[Case]:
+    """Grid and step halved together, of inextensible rods."""
+    return () if problem.compliant else tuple(Case(n, steps) for n, steps in problem.ladder)
 
 
 def on_coarse_ladder(problem: Problem) -> Sequence[Case]:
@@ -272,31 +278,26 @@ def stiff_cases(problem: Problem) -> Sequence[Case]:
 METHODS = dict(
     fixed=Timed("fixed steps, rho 0.5 (default)", on_ladder, fixed_steps),
     adaptive=Timed("adaptive steps (default)", on_tolerances, chosen_steps),
-    fixed_rho_08=Timed(
-        "fixed steps, rho 0.8", on_ladder, lambda problem, case: fixed_steps(problem, case, 0.8)
-    ),
-    fixed_rho_0=Timed(
-        "fixed steps, rho 0", on_ladder, lambda problem, case: fixed_steps(problem, case, 0.0)
-    ),
+    fixed_rho_08=Timed("fixed steps, rho 0.8", on_ladder, partial(fixed_steps, rho=0.8)),
+    fixed_rho_0=Timed("fixed steps, rho 0", on_ladder, partial(fixed_steps, rho=0.0)),
     static=Timed("equilibrium (default)", on_grids, static),
     float32=Timed(
         "fixed steps, float32",
         on_coarse_ladder,
-        lambda problem, case: fixed_steps(problem, case, dtype=jnp.float32),
+        partial(fixed_steps, dtype=jnp.float32),
     ),
     ode_explicit=Timed(
         "diffrax, Tsit5",
         explicit_cases,
-        lambda problem, case: differential_equation(problem, case, diffrax.Tsit5()),
+        partial(differential_equation, solver=diffrax.Tsit5()),
     ),
     ode_stiff=Timed(
         "diffrax, Kvaerno5",
         stiff_cases,
-        lambda problem, case: differential_equation(problem, case, diffrax.Kvaerno5()),
+        partial(differential_equation, solver=diffrax.Kvaerno5()),
     ),
-    # THE PAPER'S SCHEME GOES HERE, for instance:
-    # paper=Timed("the paper's scheme", on_ladder, paper_steps),
-    # with a job `paper_steps(problem, case)` like `fixed_steps` for those cases.
+    # THE PAPER'S SCHEME GOES HERE: any rollout (scene, state, times) -> Run is
+    # paper=Timed("the paper's scheme", on_kirchhoff_ladder, partial(given_steps, integrate=...)),
 )
 
 DEFAULTS = ("fixed", "adaptive", "static")  # what is rodjax's default for a problem

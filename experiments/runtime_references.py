@@ -19,7 +19,9 @@ import _settings  # noqa: F401 (first)
 import jax
 import numpy as np
 from runtime_methods import Case, Outcome, chosen_steps, fixed_steps, static
-from runtime_scenes import Problem, Record, at_points, combine, errors
+from runtime_scenes import Problem, Record, at_points, errors
+
+from rodjax.extrapolation import extrapolate
 
 
 class Reference(NamedTuple):
@@ -57,7 +59,7 @@ def compute(problem: Problem, finest: tuple[int, int]) -> Reference:
         solve = lambda case: _solved(fixed_steps(problem, case, 0.8)).record
         text = f"{steps // 2} and {steps} steps"
     runs = [solve(case) for case in cases]
-    coarse, fine = (combine(1 / 3, a, b) for a, b in zip(runs[:-1], runs[1:], strict=True))
+    coarse, fine = (extrapolate(a, b) for a, b in zip(runs[:-1], runs[1:], strict=True))
     own = errors(coarse, fine, start)
     return Reference(fine, start, own, f"{elements // 2} and {elements} elements, {text}")
 

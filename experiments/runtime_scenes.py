@@ -220,12 +220,3 @@ def errors(found: Record, reference: Record, start: np.ndarray) -> dict[str, flo
         exact = reference.scalars[name]
         result[name] = rms(found.scalars[name] - exact) / rms(exact)
     return result
-
-
-def combine(weight: float, a: Record, b: Record) -> Record:
-    """b + weight (b - a), of everything recorded."""
-    mix = lambda x, y: y + weight * (y - x)
-    common = a.scalars.keys() & b.scalars.keys()
-    return Record(
-        mix(a.positions, b.positions), {k: mix(a.scalars[k], b.scalars[k]) for k in common}
-    )
