@@ -19,6 +19,7 @@ import subprocess
 import sys
 import tempfile
 import time
+import traceback
 from pathlib import Path
 
 import _settings  # noqa: F401 (first)
@@ -161,7 +162,12 @@ def measure_scene(name: str, problem: Problem, methods: dict, options, results: 
         cases = how.cases(problem)
         measured = {}
         for case in cases[:2] if options.quick else cases:
-            found = how.measure(problem, case, options.repeats)
+            try:
+                found = how.measure(problem, case, options.repeats)
+            except Exception as problem_met:  # one case must not end the others
+                traceback.print_exc()
+                found = CannotRun(f"{type(problem_met).__name__}, see the log")
+                options.failed = True
             row = row_of(name, method, how.label, case, found, family_of(problem, case))
             if isinstance(found, Measured) and row["result"] == "SUCCESS":
                 row["errors"] = errors(found.outcome.record, reference.record, reference.start)
@@ -313,6 +319,7 @@ def main(argv=None) -> None:
         if unknown:
             raise SystemExit(f"--method: unknown {sorted(unknown)}; there are {sorted(methods)}")
         methods = {name: methods[name] for name in options.method}
+    options.failed = False
     results, references, whole = Results(options.out), {}, []
     try:
         for name, problem in problems.items():
@@ -328,6 +335,8 @@ def main(argv=None) -> None:
         (options.out / "summary.json").write_text(json.dumps(summary, indent=2) + "\n")
         print(conclusions(summary))
         print(f"\nresults in {options.out} after {time.perf_counter() - BEGAN:.0f} s")
+    if options.failed:
+        raise SystemExit("a case ended in an error, see above")
 
 
 if __name__ == "__main__":
