@@ -97,8 +97,8 @@ def draw(rows: list[Row], scene: str, title: str, reference_error: dict, out: Pa
         return
     quantities = [q for q in ("positions", "writhe") if any(q in r["errors"] for r in found)]
     columns = [("cpu_seconds", "warm CPU time [s]")]
-    if any(row["steps"] > 1 for row in found):
-        columns.append(("steps", "steps"))
+    timeless = all(row["steps_asked"] is None and row["tolerance"] is None for row in found)
+    columns.append(("elements", "elements") if timeless else ("steps", "steps"))
     figure, grid = plt.subplots(
         len(quantities),
         len(columns),
