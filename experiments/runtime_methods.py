@@ -227,7 +227,7 @@ def on_grids(problem: Problem) -> Sequence[Case]:
 
 
 @eqx.filter_jit
-def _solve(scene, y0, times, solver, tolerance):
+def _solve(scene, y0, times, solver, tolerance, max_steps):
     return diffrax.diffeqsolve(
         diffrax.ODETerm(semidiscrete.vector_field),
         solver,
@@ -238,12 +238,12 @@ def _solve(scene, y0, times, solver, tolerance):
         args=scene,
         saveat=diffrax.SaveAt(ts=times),
         stepsize_controller=diffrax.PIDController(rtol=tolerance, atol=tolerance),
-        max_steps=1_000_000,
+        max_steps=max_steps,
         throw=False,
     )
 
 
-def differential_equation(problem: Problem, case: Case, solver) -> Job:
+def differential_equation(problem: Problem, case: Case, solver, max_steps: int) -> Job:
     """diffrax with its step control; the tolerance serves as relative and absolute one."""
     scene = problem.build(case.elements)
     y0, times = semidiscrete.initial_value(scene), jnp.asarray(problem.times)
@@ -255,7 +255,7 @@ def differential_equation(problem: Problem, case: Case, solver) -> Job:
         steps = int(found.stats["num_steps"])
         return Outcome(Record(positions, {}), steps, None, "SUCCESS" if good else "MAX_STEPS")
 
-    return Job(lambda: _solve(scene, y0, times, solver, tolerance), read)
+    return Job(lambda: _solve(scene, y0, times, solver, tolerance, max_steps), read)
 
 
 EXPLICIT_TOLERANCES = (1e-5, 1e-5, 1e-5)  # on the coarsest grids
@@ -269,10 +269,14 @@ def explicit_cases(problem: Problem) -> Sequence[Case]:
 
 
 def stiff_cases(problem: Problem) -> Sequence[Case]:
-    """Dense Jacobians: coarse grids only."""
+    """Dense Jacobians, so the coarsest grid only.
+
+    The waves of the start ring on undamped, and its step control follows them: at 20 elements and
+    a tolerance of 1e-4 it had not ended after a minute of CPU time. It is given up at 2000 steps.
+    """
     if problem.static or not problem.compliant:
         return ()
-    return (Case(problem.grids[0], None, 1e-4),)
+    return (Case(problem.grids[0], None, 1e-3),)
 
 
 METHODS = dict(
@@ -289,12 +293,12 @@ METHODS = dict(
     ode_explicit=Timed(
         "diffrax, Tsit5",
         explicit_cases,
-        partial(differential_equation, solver=diffrax.Tsit5()),
+        partial(differential_equation, solver=diffrax.Tsit5(), max_steps=1_000_000),
     ),
     ode_stiff=Timed(
         "diffrax, Kvaerno5",
         stiff_cases,
-        partial(differential_equation, solver=diffrax.Kvaerno5()),
+        partial(differential_equation, solver=diffrax.Kvaerno5(), max_steps=2000),
     ),
     # THE PAPER'S SCHEME GOES HERE: any rollout (scene, state, times) -> Run is
     # paper=Timed("the paper's scheme", on_kirchhoff_ladder, partial(given_steps, integrate=...)),

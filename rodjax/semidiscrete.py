@@ -17,6 +17,9 @@ An explicit solver is held to steps near the diameter over the speed of sound, a
 solves with a dense Jacobian of 13 unknowns a node; generalised-alpha needs neither.
 """
 
+import functools
+import operator
+
 import equinox as eqx
 import jax.core
 import jax.numpy as jnp
@@ -87,6 +90,7 @@ def internal_force(rod: Rod, motion: Motion) -> Float[Array, "n 3"]:
 
 
 def _force(rod: Rod, stretch):
+    assert rod.compliance is not None  # checked in `initial_value`
     return balance.constraint(rod, stretch, jnp.zeros_like(stretch)) / rod.compliance
 
 
@@ -94,6 +98,7 @@ def _accelerations(scene: Scene, motion: NodeMotion, both, prescribed) -> Float[
     """Accelerations of the nodes, the constrained ones (by the projectors) as prescribed."""
     rod = scene.rod
     mass, rotary = node_inertia(rod)
+    assert rotary is not None  # checked in `initial_value`
     force = _force(rod, strains(rod, motion.position, motion.quaternion).stretch)
     inner = balance.internal(rod, motion.position, motion.quaternion, force)
     wrench = -jnp.concatenate([inner.force, inner.moment], 1)
@@ -101,9 +106,11 @@ def _accelerations(scene: Scene, motion: NodeMotion, both, prescribed) -> Float[
         wrench = wrench + total_wrench(scene.loads, rod, motion)
     spin = motion.angular_velocity
     angular = (wrench[:, 3:] - jnp.cross(spin, rotary * spin)) / rotary
-    added = [load.added_mass(rod, motion) for load in scene.loads if load.inertia]
+    added = [load.added_mass(rod, motion) for load in scene.loads]
+    added = [matrix for matrix in added if matrix is not None]
     if added:
-        linear = _with_added_mass(mass, sum(added), wrench[:, :3], both, prescribed)
+        whole = functools.reduce(operator.add, added)
+        linear = _with_added_mass(mass, whole, wrench[:, :3], both, prescribed)
     else:
         linear = wrench[:, :3] / mass[:, None]
     free = jnp.concatenate([linear, angular], 1)
