@@ -316,7 +316,7 @@ def _refined_solve(blocks: BlockTridiagonal, b: Float[Array, "nodes 9"]):
 def _release(blocks: BlockTridiagonal, rigid: Float[Array, "n 3"]) -> BlockTridiagonal:
     """Rows of the constraint replaced by `multiplier = right side` where the rod is compliant."""
     keep = rigid[:, :, None]
-    multiplier = jnp.zeros((3, 9), rigid.dtype).at[:, 3:6].set(jnp.eye(3))
+    multiplier = jnp.eye(3, 9, k=3, dtype=rigid.dtype)
     diagonal = blocks.diagonal.at[1:, :3].set(
         keep * blocks.diagonal[1:, :3] + (1 - keep) * multiplier
     )

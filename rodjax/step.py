@@ -348,7 +348,9 @@ def advance_to(
     scene: Scene, state: State, stop: Float[Array, ""], method: GeneralizedAlpha
 ) -> tuple[State, StepInfo]:
     """`step` from a state that is consistent with its constraints."""
-    settling, radius = state.settling, method.spectral_radius
+    settling = state.settling
+    # settings are in the default precision, whatever the rod's
+    radius = method.spectral_radius.astype(state.position.dtype)
     if settling is not None:
         radius = jnp.where(settling > 0, 0.0, radius)
     if state.jerk is not None:

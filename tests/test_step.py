@@ -451,6 +451,19 @@ def test_state_refuses_what_does_not_fit():
         GeneralizedAlpha(0.8, 1e-9).check_precision(jnp.float32)
 
 
+def test_a_rod_in_single_precision_stays_in_it():
+    """Where double precision is the default, so that settings and drives are in it."""
+    scene = driven_scene(6)
+    single = lambda leaf: leaf.astype(jnp.float32) if eqx.is_inexact_array(leaf) else leaf
+    times = np.linspace(0, 0.2, 21)[1:]
+    runs = []
+    for one in (scene, jax.tree.map(single, scene)):
+        ends = jnp.asarray(times, one.rod.position.dtype)
+        runs.append(rollout(one, start(one), ends, GeneralizedAlpha(0.8)))
+    assert runs[1].final.position.dtype == jnp.float32
+    np.testing.assert_allclose(runs[1].final.position, runs[0].final.position, atol=1e-4)
+
+
 # Units
 
 
