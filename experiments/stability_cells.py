@@ -10,7 +10,6 @@ import functools
 from typing import Any, NamedTuple
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 from example import LENGTH, LOADING_AXIS, NECK, PRESETS
@@ -152,14 +151,16 @@ def _text(value) -> str:
 
 
 def build(cell: Cell) -> Case:
-    """Scene, state, duration and settings of a cell."""
+    """Scene, state, duration and settings of a cell, in the precision that jax is set to."""
     changed, base = dict(cell.changes), BASES[cell.scene]
     get = changed.get
     # elastic time over that of the base
     ratio = base.diameter / get("D/L", base.diameter)
     slower = float(np.sqrt(base.modulus / get("E [Pa]", base.modulus)) * ratio)
-    step, rate = get("dt [s]"), get("turns/s")
+    step, rate, precision = get("dt [s]"), get("turns/s"), get("precision", "float64")
     duration, state = slower * base.duration, None
+    if cell.scene == CANTILEVER:  # a rod softer than its weight swings in the time of a pendulum
+        duration = min(duration, base.duration)
     if rate is not None:
         duration = min(duration, 6 / rate)
     if get("N", 0) >= 1000 and step is None:
@@ -167,12 +168,9 @@ def build(cell: Cell) -> Case:
     whole = scene(cell.scene, changed, slower)
     developed = base.developed > 0 and slower == 1 and "N" not in changed
     if developed and not {"dt [s]", "end", "gravity [g]"}.isdisjoint(changed):
-        state, duration = _developed(cell.scene), base.afterwards
+        state, duration = _developed(cell.scene, precision), base.afterwards
     if "plectoneme" in changed:
         duration = 31.0
-    precision = get("precision", "float64")
-    if precision == "float32":
-        whole, state = _single(whole), _single(state)
     moving = {}
     if state is not None:
         moving = {
@@ -303,14 +301,8 @@ def _almost_closed(gap: float):
 
 
 @functools.cache
-def _developed(name: str) -> rx.State:
-    """State of an unchanged preset when something is about to happen."""
+def _developed(name: str, precision: str) -> rx.State:
+    """State of an unchanged preset when something is about to happen (kept for each precision)."""
     base, whole = BASES[name], scene(name, {})
     control = rx.StepControl(*base.tolerances, max_step=base.max_step)
     return rx.adaptive_rollout(whole, rx.start(whole), base.developed, control=control).final
-
-
-def _single(tree):
-    """The tree in single precision."""
-    double = lambda x: eqx.is_array(x) and x.dtype == jnp.float64
-    return jax.tree.map(lambda x: x.astype(jnp.float32) if double(x) else x, tree)

@@ -102,13 +102,14 @@ def evaluate(case: Case) -> dict[str, Any]:
     began = time.perf_counter()
     run = advance(case, 1, SECONDS)
     code = rx.Result(int(run.result))
+    span = case.duration if case.step is None else BLOCK * case.step
     row = {
         "code": code.name,
         "mend": None if code == rx.Result.SUCCESS else rx.results.MESSAGES[code],
         "steps": len(run.times) - 1,
         "rejected": int(run.rejected),
         "iterations": int(np.sum(run.infos.iterations)),
-        "reached": float((np.max(run.times) - case.state.time) / (case.duration or 1)),
+        "reached": float((np.max(run.times) - case.state.time) / span),
         "precision": case.precision,
         "agreement": None,
     }
@@ -126,12 +127,14 @@ def answer(cell: Cell) -> None:
     say = lambda **message: print(json.dumps(message), flush=True)
     began = time.perf_counter()
     prepared = None
+    double = dict(cell.changes).get("precision") != "float32"
     try:
-        case = build(cell)
-        prepare(case)
-        prepared = time.perf_counter()
-        say(event="prepared")
-        row = evaluate(case)
+        with jax.enable_x64(double):
+            case = build(cell)
+            prepare(case)
+            prepared = time.perf_counter()
+            say(event="prepared")
+            row = evaluate(case)
     except rx.SimulationError as problem:
         row = {"code": problem.result.name, "mend": str(problem)}
     except ValueError as problem:
