@@ -272,9 +272,7 @@ def _contact(changed: dict[str, Any], base_diameter: float = 1e-2) -> rx.Contact
     # so that four pairs a segment hold all within the cut-off
     while cutoff * np.sin(np.pi / 3) * segments / LENGTH + 1 > 4:
         segments //= 2
-    return rx.Contact(
-        law, segments, cutoff, points_per_segment=5, aperture=2 * np.pi / 3
-    )
+    return rx.Contact(law, segments, cutoff, points_per_segment=5, aperture=2 * np.pi / 3)
 
 
 def _almost_closed(gap: float):

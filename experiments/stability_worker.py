@@ -140,7 +140,7 @@ def answer(cell: Cell) -> None:
     except ValueError as problem:
         # the library's own begin with the argument's name and say the mend
         text = str(problem)
-        named = ": " in text and " " not in text.split(": ")[0].replace(", ", "")
+        named = ": " in text and " " not in text.split(": ", maxsplit=1)[0].replace(", ", "")
         row = {"code": "ValueError", "mend": text if named else None, "text": text}
     except Exception as problem:
         row = {"code": type(problem).__name__, "mend": None, "text": str(problem)[:500]}
