@@ -65,7 +65,7 @@ BASES = {
     # through buckling, loop, first contact and half of the intertwining
     TIMELINE: Base(3e-4, 1.25e7, 60, 30.0, 27.0, 3.0, 0.36, PRESETS[TIMELINE].tolerances),
     # into hard contact, which begins at 9.02 s
-    STOUT: Base(1e-2, 1.25e7, 60, 9.1, 9.0, 0.1, 0.36, PRESETS[STOUT].tolerances),
+    STOUT: Base(1e-2, 1.25e7, 60, 9.06, 9.0, 0.06, 0.36, PRESETS[STOUT].tolerances),
     # two strands side by side, one end turned against the other
     HAIRPIN: Base(1e-2, 1.25e7, 60, 0.3, 0.0, 0.3, 0.01, (0.02, 5e-3)),
 }

@@ -14,6 +14,7 @@ DIR/map.png, DIR/map.md and DIR/summary.json; ends with 1 if a cell is wrong.
 
 import argparse
 import collections
+import contextlib
 import json
 import os
 import queue
@@ -50,6 +51,7 @@ class Worker:
         self.command, self.log = command, log
         self.process: subprocess.Popen | None = None
         self.lines: queue.Queue[str | None] = queue.Queue()
+        self.reader: threading.Thread | None = None
 
     def start(self) -> subprocess.Popen:
         """The running process, begun anew if there is none."""
@@ -60,9 +62,10 @@ class Worker:
                     text=True,
                 )  # fmt: skip
             self.lines = queue.Queue()
-            threading.Thread(
+            self.reader = threading.Thread(
                 target=self._read, args=(self.process, self.lines), daemon=True
-            ).start()
+            )
+            self.reader.start()
         return self.process
 
     @staticmethod
@@ -77,6 +80,12 @@ class Worker:
             return None
         self.process.kill()
         code = self.process.wait()
+        if self.reader is not None:
+            self.reader.join()  # to the end of what the process had said
+        for pipe in (self.process.stdin, self.process.stdout):
+            if pipe is not None:
+                with contextlib.suppress(BrokenPipeError):
+                    pipe.close()
         self.process = None
         return code
 

@@ -395,6 +395,9 @@ def _adaptive_chunk(scene, state, control, end_time, method, tolerances, size):
     length = jnp.sum(scene.rod.length)
     relative, absolute, twisting = tolerances
     tiny = jnp.finfo(state.position.dtype).tiny
+    # of positions, over an element's length in rotations: in single precision this noise would
+    # else be taken for the error of a small step, and drive it to zero
+    rounding = 10 * jnp.finfo(state.position.dtype).eps
 
     def attempt(loop: _Chunk) -> _Chunk:
         now, dt = loop.state.time, loop.control.dt
@@ -407,11 +410,13 @@ def _adaptive_chunk(scene, state, control, end_time, method, tolerances, size):
         failed = info.result != Result.SUCCESS
         phi = logarithm(relative_rotation(loop.state.quaternion))[:, :2]
         bent = jnp.clip(jnp.sum(jnp.sqrt(jnp.sum(phi**2, 1) + tiny)), 1e-6, 1.0)
-        allowed = lambda growth, unit: relative * growth + absolute * unit
+        allowed = lambda growth, unit, floor: relative * growth + absolute * unit + floor
         error = jnp.maximum(
-            info.error_position / allowed(info.growth_position, 0.1 * bent * length),
+            info.error_position
+            / allowed(info.growth_position, 0.1 * bent * length, rounding * length),
             jnp.maximum(
-                info.error_bending / allowed(info.growth_bending, bent),
+                info.error_bending
+                / allowed(info.growth_bending, bent, rounding * scene.rod.elements),
                 info.error_twisting / (relative * info.growth_twisting + twisting),
             ),
         )
