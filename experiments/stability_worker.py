@@ -19,6 +19,7 @@ from stability_oracle import agreement, measure
 
 import rodjax as rx
 from rodjax import simulate
+from rodjax.results import MESSAGES
 from rodjax.simulate import Run
 
 BLOCK = 20  # fixed steps of a cell
@@ -105,7 +106,7 @@ def evaluate(case: Case) -> dict[str, Any]:
     span = case.duration if case.step is None else BLOCK * case.step
     row = {
         "code": code.name,
-        "mend": None if code == rx.Result.SUCCESS else rx.results.MESSAGES[code],
+        "mend": None if code == rx.Result.SUCCESS else MESSAGES[code],
         "steps": len(run.times) - 1,
         "rejected": int(run.rejected),
         "iterations": int(np.sum(run.infos.iterations)),
@@ -127,6 +128,7 @@ def answer(cell: Cell) -> None:
     say = lambda **message: print(json.dumps(message), flush=True)
     began = time.perf_counter()
     prepared = None
+    row: dict[str, Any]
     double = dict(cell.changes).get("precision") != "float32"
     try:
         with jax.enable_x64(double):

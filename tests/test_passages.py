@@ -22,7 +22,10 @@ from rodjax.simulate import adaptive_rollout, rollout
 LAW = DampedInversePower(k1=1e-7, k3=1e-6, reference_spacing=1e-3)
 
 
-def looped(side, **ends):
+CLAMPED = Clamped()
+
+
+def looped(side, first_end=CLAMPED, last_end=CLAMPED):
     """A rod with one loop, whose strands cross on this side of each other."""
     radius, before = 0.08, 0.25
 
@@ -34,7 +37,7 @@ def looped(side, **ends):
 
     rod = curved_rod(curve, 1.0, 60, UNIT_SECTION)
     contact = Contact(LAW, segments=40, cutoff=0.02, pairs_per_segment=8)
-    return Scene(rod, **{"first_end": Clamped(), "last_end": Clamped()} | ends, contact=contact)
+    return Scene(rod, first_end, last_end, contact=contact)
 
 
 def test_loop_through_itself_is_seen():
