@@ -31,7 +31,7 @@ class Cell(NamedTuple):
     @property
     def name(self) -> str:
         """Unique in the map."""
-        return f"{self.scene}: {self.axis} {self.label}"
+        return f"{self.scene}: {self.axis} {self.label}".rstrip()
 
 
 class Case(NamedTuple):
