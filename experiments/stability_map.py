@@ -167,7 +167,7 @@ def draw(chosen: list[Cell], maps: dict[str, dict[str, Any]], out: Path) -> None
     count = sum(len(found) for found in pairs.values())
     height = 0.34 * (len(single) + count) + 1.5
     figure, panels = plt.subplots(
-        1, len(maps), figsize=(12 * len(maps), height), layout="constrained", squeeze=False
+        1, len(maps), figsize=(10 * len(maps), height), layout="constrained", squeeze=False
     )
     for panel, (title, rows) in zip(panels[0], maps.items(), strict=True):
         names, y = [], 0
@@ -201,7 +201,7 @@ def _square(panel, x, y, width, label, row) -> None:
     if row is not None and row["verdict"] in (Verdict.FAILED, Verdict.WRONG):
         text += ("\n" if width == 1 else ": ") + row["why"].replace("_", " ").lower()
     panel.text(
-        x + 0.5 * width, y + 0.5, text, ha="center", va="center", fontsize=5.5, linespacing=0.95
+        x + 0.5 * width, y + 0.5, text, ha="center", va="center", fontsize=6.5, linespacing=0.95
     )
 
 
