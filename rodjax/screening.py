@@ -159,10 +159,12 @@ def passage_suspected(
 
     Two chords cross when the volume of the tetrahedron of their four joints changes sign, at a
     moment when the point common to their lines lies on both: that moment and point are found on
-    the straight ways of the joints. A slow passage is seen as well as a fast one.
+    the straight ways of the joints. A slow passage is seen as well as a fast one. Chords that are
+    parallel to rounding have no such point, and neighbours always share one: those of a straight
+    rod would else seem to cross.
     """
     old, new = (lax.stop_gradient(interpolate(where, x)) for x in (before, after))
-    valid = jnp.arange(near.first.shape[0]) < near.count
+    valid = (jnp.arange(near.first.shape[0]) < near.count) & (near.second - near.first > 1)
 
     def chords(x):
         a, b = x[near.first], x[near.second]
@@ -187,5 +189,6 @@ def passage_suspected(
     on_first = dot(second, second) * dot(first, between) - dot(first, second) * dot(second, between)
     on_second = dot(first, second) * dot(first, between) - dot(first, first) * dot(second, between)
     inside = lambda u: (u >= 0) & (u <= determinant)
-    crossed = (start * end < 0) & inside(on_first) & inside(on_second) & (determinant > 0)
+    rounding = 100 * jnp.finfo(before.dtype).eps * dot(first, first) * dot(second, second)
+    crossed = (start * end < 0) & inside(on_first) & inside(on_second) & (determinant > rounding)
     return jnp.any(crossed & valid)

@@ -14,7 +14,7 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
-from rodjax import newton, results
+from rodjax import newton, passages, results
 from rodjax.compilation import compiled
 from rodjax.consistency import compiled_restart, start
 from rodjax.equilibrium import placing
@@ -83,7 +83,8 @@ def rollout(
             exact).
         save_every: store every so many steps; the number of steps must be a multiple.
         throw: raise `SimulationError` if a step fails. Either way the motion up to the failure
-            is in the result (the states after it repeat the last good one).
+            is in the result (the states after it repeat the last good one; a passage that only
+            the linking number of the last state shows is reported with all states).
 
     Differentiable in every array of scene, state, times and method, in forward and reverse mode;
     the reverse pass keeps of every step Newton's solution, of every `save_every` steps the state,
@@ -106,6 +107,10 @@ def rollout(
         _check_times(scene, state, times)
         method.check_precision(state.position.dtype)
     run = _rollout(scene, state, times, method, save_every)
+    ended = not _is_traced(run) and int(run.result) == Result.SUCCESS
+    if ended and passages.passed_unseen(scene, state, run.final):
+        passed = jnp.asarray(int(Result.STRAND_PASSAGE), jnp.int32)
+        run = dataclasses.replace(run, result=passed)
     if throw:
         if _is_traced(run.result):
             message = "a step failed; call with throw=False and look at `result`"
@@ -254,7 +259,8 @@ def adaptive_rollout(
     constraint that begins at `end_time` itself is left to the run resumed from there). The loop
     is compiled once and called for `chunk` accepted steps at a time; `on_chunk(part)` is called
     after each, for progress and storage, with a `Run` of its accepted steps (its states lack the
-    start, its counts are those so far; see `join_runs`). Not differentiable itself: replay
+    start, its counts are those so far; see `join_runs`). A chunk over which Tw + Wr jumped is
+    dropped and the run fails by STRAND_PASSAGE. Not differentiable itself: replay
     `run.times[1:]` by `rollout`, whose derivative is exact for that schedule.
     `compile_adaptive_rollout` compiles the loop beforehand.
 
@@ -289,7 +295,11 @@ def adaptive_rollout(
             current, loss = begin_constraint(scene, current, compiled_restart)
         out = _adaptive_chunk(scene, current, memory, end, method, tolerances, size)
         count = int(out.accepted)
-        current, memory = out.state, out.control
+        passed = count > 0 and passages.passed_unseen(scene, current, out.state)
+        if passed:  # somewhere in this chunk, of which nothing is kept
+            count = 0
+        else:
+            current, memory = out.state, out.control
         cut = lambda leaf, count=count: np.asarray(leaf)[:count]
         states, infos = jax.tree.map(cut, (out.states, out.infos))
         if loss is not None and count:
@@ -300,6 +310,8 @@ def adaptive_rollout(
         rejected += int(out.rejected)
         wasted += int(out.wasted)
         code, done = Result(int(out.result)), bool(out.done)
+        if passed:
+            code, done = Result.STRAND_PASSAGE, True
         if not done and accepted >= max_steps:
             code, done = Result.MAX_STEPS, True
         parts.append(Run(states, infos, as_int(code), as_int(rejected), as_int(wasted), memory))
@@ -340,6 +352,8 @@ def compile_adaptive_rollout(
             starting.result()
         return
     control, dtype = StepControl(), state.position.dtype
+    if scene.contact is not None:
+        passages.linking_number(state)
     state = prepare(scene, state)
     method = GeneralizedAlpha() if method is None else method
     memory, tolerances = _memory(control, 1.0, dtype), _tolerances(control, dtype)
@@ -381,6 +395,9 @@ def _adaptive_chunk(scene, state, control, end_time, method, tolerances, size):
     length = jnp.sum(scene.rod.length)
     relative, absolute, twisting = tolerances
     tiny = jnp.finfo(state.position.dtype).tiny
+    # of positions, over an element's length in rotations: in single precision this noise would
+    # else be taken for the error of a small step, and drive it to zero
+    rounding = 10 * jnp.finfo(state.position.dtype).eps
 
     def attempt(loop: _Chunk) -> _Chunk:
         now, dt = loop.state.time, loop.control.dt
@@ -393,11 +410,13 @@ def _adaptive_chunk(scene, state, control, end_time, method, tolerances, size):
         failed = info.result != Result.SUCCESS
         phi = logarithm(relative_rotation(loop.state.quaternion))[:, :2]
         bent = jnp.clip(jnp.sum(jnp.sqrt(jnp.sum(phi**2, 1) + tiny)), 1e-6, 1.0)
-        allowed = lambda growth, unit: relative * growth + absolute * unit
+        allowed = lambda growth, unit, floor: relative * growth + absolute * unit + floor
         error = jnp.maximum(
-            info.error_position / allowed(info.growth_position, 0.1 * bent * length),
+            info.error_position
+            / allowed(info.growth_position, 0.1 * bent * length, rounding * length),
             jnp.maximum(
-                info.error_bending / allowed(info.growth_bending, bent),
+                info.error_bending
+                / allowed(info.growth_bending, bent, rounding * scene.rod.elements),
                 info.error_twisting / (relative * info.growth_twisting + twisting),
             ),
         )

@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from helpers import DIAMETER, hairpin
+from helpers import DIAMETER, hairpin, random_arrays
 
 from rodjax import contact as contact_of
 from rodjax import contact_forces as forces_of
@@ -310,6 +310,21 @@ def test_passage_is_seen_fast_or_slow(pieces):
     assert not passed(jnp.asarray([-0.06, 0.0, 0.0]))
     assert not passed(jnp.asarray([0.16, 0.0, 0.0]))
     assert not passed(jnp.asarray([-0.16, 0.0, 0.6]))
+
+
+def test_straight_rod_does_not_cross_itself():
+    """Neighbouring segments share a joint, and chords parallel to rounding meet anywhere."""
+    section = circular_section(1e-2, 1.25e7, 5e6, 1500.0)
+    law = laws.DampedInversePower(k1=1e-7, k3=1e-6, reference_spacing=1e-3)
+    contact = Contact(law, segments=100, points_per_segment=8, cutoff=12e-3, aperture=2.1)
+    scene = Scene(straight_rod(1.0, 60, section, direction=(0, 1, 0)), contact=contact)
+    place = scene.rod.position
+    nearby = find_nearby(scene, place, jnp.zeros_like(place))
+    assert int(nearby.near.count) > 0  # neighbours are in the list
+    for size in (1e-17, 1e-12, 1e-8):
+        for shift in random_arrays(3, *[place.shape] * 4):
+            before, after = place - size * shift, place + size * shift[::-1]
+            assert not screening.passage_suspected(*nearby, before, after)
 
 
 def test_gradient_through_a_step_in_contact(bent):
