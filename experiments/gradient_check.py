@@ -34,13 +34,16 @@ from jax import lax
 from jaxtyping import Array, Float
 from tqdm import tqdm
 
-from rodjax import measures, simulate
+from rodjax import measures
+from rodjax.adaptive import adaptive_rollout
 from rodjax.compilation import compiled
 from rodjax.consistency import start
 from rodjax.generalized_alpha import GeneralizedAlpha
+from rodjax.rollout import rollout
+from rodjax.run import Run
 from rodjax.scene import Scene
-from rodjax.simulate import Run, StepControl
 from rodjax.state import State
+from rodjax.step_control import StepControl
 
 # before buckling, in the loop, at first contact, intertwined [s]
 TIMES = {"timeline": (15.0, 25.0, 29.2, 32.0), "stout": (8.0, 10.0, 10.6, 11.0)}
@@ -132,7 +135,7 @@ def recorded(preset: Preset, base: Scene, until: float) -> Run:
     """The adaptive run whose steps are replayed."""
     new, state, method = varied(base, Factors.ones())
     control = StepControl(*preset.tolerances, preset.max_step)
-    return simulate.adaptive_rollout(new, state, until, method, control)
+    return adaptive_rollout(new, state, until, method, control)
 
 
 def writhes(
@@ -140,7 +143,7 @@ def writhes(
 ) -> Float[Array, " m"]:
     """Writhe after the given numbers of steps."""
     new, state, method = varied(base, by)
-    run = simulate.rollout(new, state, times, method, save_every=every, throw=False)
+    run = rollout(new, state, times, method, save_every=every, throw=False)
     wanted = jnp.asarray(saves) // every
     found = lax.map(measures.writhe, jax.tree.map(lambda leaf: leaf[wanted], run.states))
     return jnp.where(run.result == 0, found, jnp.nan)

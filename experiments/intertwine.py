@@ -26,14 +26,17 @@ from example import FROM_PAPER, LOADING_AXIS, PRESETS, Preset, scene
 from jax import lax
 from tqdm import tqdm
 
-from rodjax import energy, measures, plot, simulate, storage
+from rodjax import energy, measures, plot, storage
+from rodjax.adaptive import adaptive_rollout, compile_adaptive_rollout
 from rodjax.compilation import compiled
 from rodjax.consistency import start
 from rodjax.generalized_alpha import GeneralizedAlpha
 from rodjax.results import MESSAGES, Result
+from rodjax.rollout import rollout
+from rodjax.run import Run, join_runs
 from rodjax.scene import Scene
-from rodjax.simulate import Run, StepControl
 from rodjax.state import State
+from rodjax.step_control import StepControl
 
 CHUNK = 20  # accepted steps between two looks at the progress
 SNAPSHOT_TIMES = (20.0, 25.0, 29.0, 32.0)
@@ -91,7 +94,7 @@ class Recorder:
     @property
     def run(self) -> Run | None:
         """The run so far."""
-        return simulate.join_runs(self.first, self.parts) if self.parts else None
+        return join_runs(self.first, self.parts) if self.parts else None
 
 
 def run_adaptive(
@@ -99,7 +102,7 @@ def run_adaptive(
 ) -> Outcome:
     """Steps chosen by the local error; the loop has been compiled before."""
     began = time.perf_counter()
-    run = simulate.adaptive_rollout(
+    run = adaptive_rollout(
         scene, first, until, method, control, chunk=CHUNK, on_chunk=recorder, throw=False
     )
     return Outcome(run, 0.0, time.perf_counter() - began)
@@ -121,10 +124,10 @@ def run_fixed(
     compilation."""
     size = max(n for n in range(1, 61) if len(times) % n == 0)
     began = time.perf_counter()
-    jax.block_until_ready(simulate.rollout(scene, first, times[:size], method, throw=False))
+    jax.block_until_ready(rollout(scene, first, times[:size], method, throw=False))
     before, state, first_block = time.perf_counter(), first, 0.0
     for index in range(0, len(times), size):
-        run = simulate.rollout(scene, state, times[index : index + size], method, throw=False)
+        run = rollout(scene, state, times[index : index + size], method, throw=False)
         codes = np.asarray(run.infos.result)
         good = size if codes.max() == Result.SUCCESS else int(np.argmax(codes > 0))
         states = jax.tree.map(lambda leaf, n=good: np.asarray(leaf[1 : n + 1]), run.states)
@@ -147,7 +150,7 @@ def simulate_and_store(
     """Run the example, by the schedule if there is one; what has been computed is always stored."""
     began = time.perf_counter()
     if schedule is None:
-        simulate.compile_adaptive_rollout(scene, method=method, chunk=CHUNK)
+        compile_adaptive_rollout(scene, method=method, chunk=CHUNK)
     first = start(scene)
     starting = time.perf_counter() - began
     recorder = Recorder(first, until)

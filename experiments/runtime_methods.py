@@ -26,14 +26,17 @@ from runtime_scenes import Problem, Record, at_points
 from scipy.interpolate import CubicSpline
 
 from rodjax import energy, measures, semidiscrete
+from rodjax.adaptive import adaptive_rollout
 from rodjax.compilation import compiled
 from rodjax.consistency import start
 from rodjax.equilibrium import equilibrium, placing
 from rodjax.generalized_alpha import GeneralizedAlpha
 from rodjax.observations import positions_at
 from rodjax.results import Result
+from rodjax.rollout import rollout
+from rodjax.run import Run
 from rodjax.scene import Scene
-from rodjax.simulate import Run, StepControl, adaptive_rollout, rollout
+from rodjax.step_control import StepControl
 
 LONG = 10.0  # warm seconds after which a case is not repeated again
 

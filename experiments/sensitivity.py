@@ -21,10 +21,11 @@ import matplotlib.pyplot as plt
 import numpy as np
 from example import PRESETS, Preset, scene
 
-from rodjax import energy, measures, simulate
+from rodjax import energy, measures
+from rodjax.adaptive import adaptive_rollout
 from rodjax.consistency import start
 from rodjax.results import Result
-from rodjax.simulate import StepControl
+from rodjax.step_control import StepControl
 
 # closer strands need closer points (see `Contact.points_per_segment`)
 POINTS = {0.1: 12, 1.0: 4, 10.0: 4}
@@ -76,7 +77,7 @@ def run_case(preset: Preset, case: Case, until: float, quick: bool) -> dict[str,
     whole = dataclasses.replace(whole, contact=contact)
     control = StepControl(*preset.tolerances, case.max_step * preset.max_step)
     began = time.perf_counter()
-    run = simulate.adaptive_rollout(whole, start(whole), until, control=control, throw=False)
+    run = adaptive_rollout(whole, start(whole), until, control=control, throw=False)
     seconds = time.perf_counter() - began
     linking = measures.linking(whole, run)
     times = np.asarray(run.times)

@@ -25,14 +25,16 @@ import scipy.interpolate
 import scipy.linalg
 from example import PRESETS, contact_law, scene
 
-from rodjax import consistency, simulate
+from rodjax import consistency
+from rodjax.adaptive import compile_adaptive_rollout
 from rodjax.block_tridiagonal import BlockTridiagonal
 from rodjax.coupled import find_nearby
 from rodjax.ends import Clamped
 from rodjax.loads import MorisonDrag
 from rodjax.rod import circular_section, curved_rod, straight_rod
+from rodjax.rollout import rollout
 from rodjax.scene import Scene
-from rodjax.step import StepEquations, step
+from rodjax.step import StepEquations, prepare, step
 
 jax.config.update("jax_enable_compilation_cache", False)
 
@@ -196,7 +198,7 @@ def compile_costs(rung: Rung, repeats: int) -> dict[str, Any]:
     found: dict[str, Any] = {"scene": rung.name}
     jax.clear_caches()
     began = time.perf_counter()
-    state = simulate.prepare(rung.scene, consistency.start(rung.scene))
+    state = prepare(rung.scene, consistency.start(rung.scene))
     found["start_seconds"] = time.perf_counter() - began
     stop = jnp.asarray(STEP)
 
@@ -212,11 +214,9 @@ def compile_costs(rung: Rung, repeats: int) -> dict[str, Any]:
 
     program = compile_it("step", step, rung.scene, state, stop)
     times = STEP * jnp.arange(1.0, 11.0)
-    compile_it(
-        "rollout", lambda s, x, t: simulate.rollout(s, x, t, throw=False), rung.scene, state, times
-    )
+    compile_it("rollout", lambda s, x, t: rollout(s, x, t, throw=False), rung.scene, state, times)
     began = time.perf_counter()
-    simulate.compile_adaptive_rollout(rung.scene, state)
+    compile_adaptive_rollout(rung.scene, state)
     found["adaptive_seconds"] = time.perf_counter() - began
     run = lambda: jax.block_until_ready(program(rung.scene, state, stop))
     found["step_seconds"] = float(np.median(interleaved({"step": run}, repeats)["step"]))

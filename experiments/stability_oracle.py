@@ -14,8 +14,8 @@ from jax import lax
 
 from rodjax import energy, measures
 from rodjax.compilation import compiled
+from rodjax.run import Run
 from rodjax.scene import Scene, projectors
-from rodjax.simulate import Run
 from rodjax.step import StepInfo
 
 AGREEMENT = 0.05  # accurate: the final shape with half the step, over the largest displacement

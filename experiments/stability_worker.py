@@ -18,9 +18,10 @@ from stability_cells import Case, Cell, build, cells
 from stability_oracle import agreement, measure
 
 import rodjax as rx
-from rodjax import simulate
+from rodjax.adaptive import compile_adaptive_rollout
 from rodjax.results import MESSAGES
-from rodjax.simulate import Run
+from rodjax.run import Run, join_runs
+from rodjax.step import no_info
 
 BLOCK = 20  # fixed steps of a cell
 CHUNK = 50
@@ -40,7 +41,7 @@ def fixed(case: Case, halves: int) -> Run:
         state = run.final
         if int(run.result) != 0:
             break
-    return simulate.join_runs(case.state, parts)
+    return join_runs(case.state, parts)
 
 
 def run_counts(run: Run) -> tuple:
@@ -73,7 +74,7 @@ def adaptive(case: Case, halves: int, seconds: float) -> Run:
         )  # fmt: skip
     except _OutOfTime:
         code = jnp.asarray(int(rx.Result.MAX_STEPS), jnp.int32)
-        return simulate.join_runs(case.state, [*parts[:-1], _ended(parts[-1], code)])
+        return join_runs(case.state, [*parts[:-1], _ended(parts[-1], code)])
 
 
 def _ended(part: Run, code) -> Run:
@@ -88,11 +89,11 @@ def advance(case: Case, halves: int, seconds: float) -> Run:
 def prepare(case: Case) -> None:
     """Compile what the case needs."""
     if case.step is None:
-        simulate.compile_adaptive_rollout(case.scene, case.state, case.method, chunk=CHUNK)
-        nothing = simulate.no_info(case.state.position.dtype)
+        compile_adaptive_rollout(case.scene, case.state, case.method, chunk=CHUNK)
+        nothing = no_info(case.state.position.dtype)
         states, infos = jax.tree.map(lambda leaf: jnp.asarray(leaf)[None], (case.state, nothing))
         one = Run(states, infos, *(jnp.asarray(0, jnp.int32),) * 3)
-        run = simulate.join_runs(case.state, [one])
+        run = join_runs(case.state, [one])
     else:
         run = fixed(case, 1)
     measure(case.scene, run)

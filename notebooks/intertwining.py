@@ -104,14 +104,14 @@ contact = example.contact_law(example.PRESETS["timeline"])
 # the step, which takes longer than the run.
 
 # %%
-from rodjax import simulate
+from rodjax.adaptive import adaptive_rollout
 from rodjax.consistency import start
 from rodjax.scene import Scene
-from rodjax.simulate import StepControl
+from rodjax.step_control import StepControl
 
 scene = Scene(rod, right_end, left_end, loads=(drag,), contact=contact)
 end_time = 26.0 if contact is None else 32.0  # strands would pass through each other without it
-run = simulate.adaptive_rollout(scene, start(scene), end_time, control=StepControl(max_step=0.36))
+run = adaptive_rollout(scene, start(scene), end_time, control=StepControl(max_step=0.36))
 print(f"{len(run.times) - 1} steps to {run.times[-1]:g} s")
 
 # %% [markdown]

@@ -8,6 +8,7 @@ Data flows one way: a `Rod` with ends, loads and contact makes a `Scene`; `start
 Double precision is the caller's choice: `jax.config.update("jax_enable_x64", True)`.
 """
 
+from rodjax.adaptive import adaptive_rollout as adaptive_rollout
 from rodjax.bounds import Interval as Interval
 from rodjax.bounds import Positive as Positive
 from rodjax.bounds import Unbounded as Unbounded
@@ -50,6 +51,8 @@ from rodjax.rod import Section as Section
 from rodjax.rod import circular_section as circular_section
 from rodjax.rod import curved_rod as curved_rod
 from rodjax.rod import straight_rod as straight_rod
+from rodjax.rollout import rollout as rollout
+from rodjax.run import Run as Run
 from rodjax.scene import Scene as Scene
 from rodjax.schedules import AbstractSchedule as AbstractSchedule
 from rodjax.schedules import Constant as Constant
@@ -57,13 +60,10 @@ from rodjax.schedules import Function as Function
 from rodjax.schedules import PiecewiseLinear as PiecewiseLinear
 from rodjax.schedules import PiecewiseLinearRate as PiecewiseLinearRate
 from rodjax.schedules import Smooth as Smooth
-from rodjax.simulate import Run as Run
-from rodjax.simulate import StepControl as StepControl
-from rodjax.simulate import adaptive_rollout as adaptive_rollout
-from rodjax.simulate import rollout as rollout
 from rodjax.stability import stability as stability
 from rodjax.state import State as State
 from rodjax.step import step as step
+from rodjax.step_control import StepControl as StepControl
 from rodjax.vibration import vibration as vibration
 
 __version__ = "0.1.0"

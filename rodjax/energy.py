@@ -18,8 +18,8 @@ from rodjax import contact_forces, inertia, rotations
 from rodjax.compilation import compiled
 from rodjax.loads import Gravity, LinearDrag, MorisonDrag, NodeMotion, total_wrench
 from rodjax.rod import Rod
+from rodjax.run import Run
 from rodjax.scene import Scene, projectors
-from rodjax.simulate import Run
 from rodjax.state import State
 from rodjax.step import free_balance
 from rodjax.strains import curvature, strains

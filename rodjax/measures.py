@@ -14,8 +14,8 @@ from rodjax.compilation import compiled
 from rodjax.contact_forces import ContactReport
 from rodjax.ends import Turn
 from rodjax.rod import Rod
+from rodjax.run import Run
 from rodjax.scene import Scene
-from rodjax.simulate import Run
 from rodjax.state import State
 from rodjax.strains import curvature, element_quaternions, strains
 

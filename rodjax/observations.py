@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from rodjax.simulate import Run
+from rodjax.run import Run
 from rodjax.validation import as_float, as_float_or_none
 
 

@@ -25,12 +25,14 @@ import numpy as np
 from jaxtyping import Array, Float
 
 import rodjax
-from rodjax import simulate
+from rodjax.adaptive import adaptive_rollout
 from rodjax.compilation import compiled
 from rodjax.generalized_alpha import GeneralizedAlpha
+from rodjax.rollout import rollout
+from rodjax.run import Run
 from rodjax.scene import Scene
-from rodjax.simulate import Run, StepControl
 from rodjax.state import State
+from rodjax.step_control import StepControl
 from rodjax.strains import curvature
 from rodjax.units import SI, Units, unit_of
 
@@ -66,14 +68,14 @@ class Stored(eqx.Module):
         """Go on from the last state: to `end_time`, or through the rest of the schedule.
 
         Without failures this repeats, bit for bit, what the run would have done without the stop.
-        `options` go to `simulate.adaptive_rollout` or `simulate.rollout`.
+        `options` go to `adaptive_rollout` or `rollout`.
 
         Raises:
             ValueError: neither is an `end_time` given nor is anything left of a schedule.
         """
         state = self.run.final
         if end_time is not None:
-            return simulate.adaptive_rollout(
+            return adaptive_rollout(
                 self.scene,
                 state,
                 end_time,
@@ -85,7 +87,7 @@ class Stored(eqx.Module):
         if self.schedule is None or self.steps_done >= self.schedule.shape[0]:
             raise ValueError("end_time: give one; the file has no schedule with steps left")
         rest = self.schedule[self.steps_done :]
-        return simulate.rollout(self.scene, state, rest, self.method, **options)
+        return rollout(self.scene, state, rest, self.method, **options)
 
 
 def save(

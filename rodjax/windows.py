@@ -14,8 +14,9 @@ from jaxtyping import Array, Float
 
 from rodjax import rotations
 from rodjax.generalized_alpha import GeneralizedAlpha
+from rodjax.rollout import rollout
+from rodjax.run import Run
 from rodjax.scene import Scene
-from rodjax.simulate import Run, rollout
 from rodjax.state import State
 
 

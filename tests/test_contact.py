@@ -21,8 +21,8 @@ from rodjax.ends import Clamped
 from rodjax.loads import MorisonDrag
 from rodjax.results import Result
 from rodjax.rod import circular_section, straight_rod
+from rodjax.run import Run
 from rodjax.scene import Scene
-from rodjax.simulate import Run
 from rodjax.step import StepEquations, no_info, step
 
 LAWS = {

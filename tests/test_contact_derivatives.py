@@ -13,8 +13,8 @@ from rodjax.consistency import start
 from rodjax.contact import Contact
 from rodjax.contact_laws import DampedInversePower
 from rodjax.ends import Clamped
+from rodjax.rollout import rollout
 from rodjax.scene import Scene
-from rodjax.simulate import rollout
 
 pytestmark = pytest.mark.slow
 

@@ -7,9 +7,10 @@ import numpy as np
 import pytest
 from helpers import UNIT_SECTION, order_of, random_configuration
 
-from rodjax import consistency, contact, contact_laws, energy, rod, rotations, simulate
+from rodjax import consistency, contact, contact_laws, energy, rod, rotations
 from rodjax.ends import Clamped, Free, Pinned, Slider, Switched, Turn
 from rodjax.loads import DistributedLoad, Gravity, LinearDrag, MorisonDrag, PointLoad
+from rodjax.run import Run
 from rodjax.scene import Scene
 from rodjax.schedules import Constant, Function, Smooth
 from rodjax.state import State
@@ -194,7 +195,7 @@ def run_of(states, infos=None):
     if infos is None:
         infos = [StepInfo(*[jnp.zeros(())] * len(StepInfo._fields))] * (len(states) - 1)
     zero = jnp.asarray(0, jnp.int32)
-    return simulate.Run(stack(states), stack(infos), zero, zero, zero)
+    return Run(stack(states), stack(infos), zero, zero, zero)
 
 
 def run_over(scene, state, end_time, steps, longest=None, every=1):

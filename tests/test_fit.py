@@ -16,8 +16,8 @@ from rodjax.loads import LinearDrag
 from rodjax.minimize import minimize
 from rodjax.observations import Observations, positions_at
 from rodjax.rod import Section, straight_rod
+from rodjax.rollout import rollout
 from rodjax.scene import Scene
-from rodjax.simulate import rollout
 
 TIMES = jnp.linspace(0.0, 3.0, 20)
 TRUTH = {"a": 2.0, "k": 1.3}

@@ -7,9 +7,10 @@ import numpy as np
 import pytest
 from helpers import UNIT_SECTION, order_of
 
-from rodjax import measures, rod, rotations, simulate
+from rodjax import measures, rod, rotations
 from rodjax.ends import Clamped, Slider, Turn
 from rodjax.loads import LinearDrag
+from rodjax.run import Run
 from rodjax.scene import Scene
 from rodjax.schedules import PiecewiseLinear
 from rodjax.state import State
@@ -115,7 +116,7 @@ def run_of(states):
     zero = jnp.asarray(0, jnp.int32)
     infos = StepInfo(*[jnp.zeros(len(states) - 1)] * len(StepInfo._fields))
     stacked = jax.tree.map(lambda *leaves: jnp.stack(leaves), *states)
-    return simulate.Run(stacked, infos, zero, zero, zero)
+    return Run(stacked, infos, zero, zero, zero)
 
 
 def test_linking_along_a_run():

@@ -9,7 +9,7 @@ from helpers import UNIT_SECTION, order_of, random_arrays
 
 from rodjax.observations import Observations, positions_at
 from rodjax.rod import straight_rod
-from rodjax.simulate import Run
+from rodjax.run import Run
 from rodjax.state import State
 from rodjax.step import StepInfo
 

@@ -8,6 +8,7 @@ import pytest
 from helpers import UNIT_SECTION
 
 from rodjax import measures, passages
+from rodjax.adaptive import adaptive_rollout
 from rodjax.consistency import start
 from rodjax.contact import Contact
 from rodjax.contact_laws import DampedInversePower
@@ -15,9 +16,9 @@ from rodjax.ends import Clamped, Pinned, Slider, Turn
 from rodjax.equilibrium import placing
 from rodjax.results import Result, SimulationError
 from rodjax.rod import circular_section, curved_rod, straight_rod
+from rodjax.rollout import rollout
 from rodjax.scene import Scene
 from rodjax.schedules import PiecewiseLinear
-from rodjax.simulate import adaptive_rollout, rollout
 
 LAW = DampedInversePower(k1=1e-7, k3=1e-6, reference_spacing=1e-3)
 

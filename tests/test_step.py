@@ -16,6 +16,7 @@ from helpers import (
 )
 
 from rodjax import rotations
+from rodjax.adaptive import adaptive_rollout
 from rodjax.consistency import restart, start
 from rodjax.ends import Clamped, Free, Slider, Switched, Turn
 from rodjax.generalized_alpha import GeneralizedAlpha
@@ -23,10 +24,11 @@ from rodjax.inertia import node_inertia
 from rodjax.loads import DistributedLoad, Gravity, LinearDrag, MorisonDrag, PointLoad
 from rodjax.results import Result, SimulationError
 from rodjax.rod import circular_section, curved_rod, straight_rod
+from rodjax.rollout import rollout
 from rodjax.scene import Scene
 from rodjax.schedules import Constant, Function, PiecewiseLinear, Smooth
-from rodjax.simulate import StepControl, adaptive_rollout, rollout
 from rodjax.step import step
+from rodjax.step_control import StepControl
 from rodjax.strains import strains
 
 PRECISE = GeneralizedAlpha(0.8, tolerance=1e-12)

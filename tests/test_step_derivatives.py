@@ -11,9 +11,9 @@ from rodjax.ends import Clamped, Slider, Turn
 from rodjax.generalized_alpha import GeneralizedAlpha
 from rodjax.loads import LinearDrag, MorisonDrag
 from rodjax.rod import Section, straight_rod
+from rodjax.rollout import rollout
 from rodjax.scene import Scene
 from rodjax.schedules import Smooth
-from rodjax.simulate import rollout
 
 ELEMENTS, STEPS = 12, 10
 KNOTS = (0.0, 0.25, 9.0)

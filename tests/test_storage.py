@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 from helpers import driven_scene
 
-from rodjax import ends, loads, schedules, simulate, storage
+from rodjax import ends, loads, schedules, storage
+from rodjax.adaptive import adaptive_rollout
 from rodjax.consistency import start
 from rodjax.contact import Contact
 from rodjax.contact_laws import (
@@ -21,8 +22,10 @@ from rodjax.contact_laws import (
 from rodjax.generalized_alpha import GeneralizedAlpha
 from rodjax.results import Result
 from rodjax.rod import Section, straight_rod
+from rodjax.rollout import rollout
+from rodjax.run import join_runs
 from rodjax.scene import Scene
-from rodjax.simulate import StepControl
+from rodjax.step_control import StepControl
 from rodjax.units import Units
 
 CHUNK = 8
@@ -43,7 +46,7 @@ def _scene() -> Scene:
 def example():
     """A scene and its uninterrupted run."""
     scene = _scene()
-    run = simulate.adaptive_rollout(scene, start(scene), END, METHOD, CONTROL, chunk=CHUNK)
+    run = adaptive_rollout(scene, start(scene), END, METHOD, CONTROL, chunk=CHUNK)
     assert len(run.times) > 4 * CHUNK
     return scene, run
 
@@ -286,10 +289,8 @@ def test_interrupted_run_goes_on_bit_for_bit(example, tmp_path, stop_after):
 
     first = start(scene)
     with pytest.raises(KeyboardInterrupt):
-        simulate.adaptive_rollout(
-            scene, first, END, METHOD, CONTROL, chunk=CHUNK, on_chunk=on_chunk
-        )
-    interrupted = simulate.join_runs(first, parts)
+        adaptive_rollout(scene, first, END, METHOD, CONTROL, chunk=CHUNK, on_chunk=on_chunk)
+    interrupted = join_runs(first, parts)
     assert len(interrupted.times) == 1 + stop_after * CHUNK
     storage.save(tmp_path / "run.h5", scene, interrupted, method=METHOD, control=CONTROL)
     rest = storage.load(tmp_path / "run.h5").resume(END, chunk=CHUNK)
@@ -300,9 +301,7 @@ def test_interrupted_run_goes_on_bit_for_bit(example, tmp_path, stop_after):
 def test_run_stopped_anywhere_goes_on_bit_for_bit(example, tmp_path):
     """A stop that is not at a multiple of the chunk: boundaries of chunks do not matter."""
     scene, whole = example
-    stopped = simulate.adaptive_rollout(
-        scene, start(scene), END, METHOD, CONTROL, max_steps=5, throw=False
-    )
+    stopped = adaptive_rollout(scene, start(scene), END, METHOD, CONTROL, max_steps=5, throw=False)
     assert int(stopped.result) == Result.MAX_STEPS
     storage.save(tmp_path / "run.h5", scene, stopped, method=METHOD, control=CONTROL)
     rest = storage.load(tmp_path / "run.h5").resume(END, chunk=CHUNK)
@@ -313,12 +312,12 @@ def test_schedule_goes_on_where_it_stopped(example, tmp_path):
     scene, _ = example
     schedule = jnp.linspace(0.0, 0.3, 13)[1:]
     first = start(scene)
-    halves = [simulate.rollout(scene, first, schedule[:6], METHOD)]
+    halves = [rollout(scene, first, schedule[:6], METHOD)]
     path = tmp_path / "run.h5"
     storage.save(path, scene, halves[0], method=METHOD, schedule=schedule)
     halves.append(storage.load(path).resume())
     # the same compiled program for either half: to be compared bit for bit
-    expected = simulate.rollout(scene, halves[0].final, schedule[6:], METHOD)
+    expected = rollout(scene, halves[0].final, schedule[6:], METHOD)
     assert_identical(halves[1], expected)
     assert float(halves[1].times[-1]) == float(schedule[-1])
     storage.save(path, scene, expected, method=METHOD, schedule=schedule[6:])

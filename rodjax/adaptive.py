@@ -1,0 +1,213 @@
+"""Rollouts whose steps are chosen by the local error."""
+
+import dataclasses
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+from jaxtyping import Array, Bool, Int
+
+from rodjax import passages, results
+from rodjax.compilation import compiled
+from rodjax.consistency import compiled_restart, start
+from rodjax.equilibrium import placing
+from rodjax.generalized_alpha import GeneralizedAlpha
+from rodjax.results import Result
+from rodjax.run import Run, join_runs
+from rodjax.scene import Scene
+from rodjax.state import State
+from rodjax.step import StepInfo, advance_to, begin_constraint, no_info, prepare, switching
+from rodjax.step_control import Control, StepControl, begin, choose, error_ratio, tolerances_of
+
+
+class _Chunk(NamedTuple):
+    """Carry of the adaptive loop; the buffers hold the accepted steps of one chunk."""
+
+    state: State
+    control: Control
+    states: State
+    infos: StepInfo
+    accepted: Int[Array, ""]
+    rejected: Int[Array, ""]
+    wasted: Int[Array, ""]
+    result: Int[Array, ""]
+    done: Bool[Array, ""]
+    switching: Bool[Array, ""]  # a constraint begins: the caller makes the state consistent
+
+
+def adaptive_rollout(
+    scene: Scene,
+    state: State,
+    end_time: float,
+    method: GeneralizedAlpha | None = None,
+    control: StepControl | None = None,
+    *,
+    resume: Control | None = None,
+    max_steps: int = 100_000,
+    chunk: int = 50,
+    on_chunk: Callable[[Run], None] | None = None,
+    throw: bool = True,
+) -> Run:
+    """Run to `end_time` with steps chosen by the local error; every accepted step is saved.
+
+    Steps end exactly on the times at which a constraint or a drive's rate changes (and a
+    constraint that begins at `end_time` itself is left to the run resumed from there). The loop
+    is compiled once and called for `chunk` accepted steps at a time; `on_chunk(part)` is called
+    after each, for progress and storage, with a `Run` of its accepted steps (its states lack the
+    start, its counts are those so far; see `join_runs`). A chunk over which Tw + Wr jumped is
+    dropped and the run fails by STRAND_PASSAGE. Not differentiable itself: replay
+    `run.times[1:]` by `rollout`, whose derivative is exact for that schedule.
+    `compile_adaptive_rollout` compiles the loop beforehand.
+
+    Raises:
+        ValueError: a schedule of the scene ends before `end_time`, or a tolerance is out of
+            reach of the precision.
+        SimulationError: the run failed; its `.partial` is the run up to the failure.
+    """
+    span = float(end_time) - float(state.time)
+    for name, count in (("chunk", chunk), ("max_steps", max_steps)):
+        if count < 1:
+            raise ValueError(f"{name}: must be at least 1, got {count}")
+    if not span > 0:
+        raise ValueError(f"end_time: must lie after the state's time {float(state.time):g}")
+    scene.check_until(float(end_time))
+    state = prepare(scene, state)
+    method = GeneralizedAlpha() if method is None else method
+    control = StepControl() if control is None else control
+    dtype = state.position.dtype
+    method.check_precision(dtype)
+    tolerances = tolerances_of(control, dtype)
+    memory = begin(control, span, dtype, resume)
+    end, size = jnp.asarray(end_time, dtype), min(chunk, max_steps)
+    as_int = lambda x: jnp.asarray(x, jnp.int32)
+
+    parts: list[Run] = []
+    rejected = wasted = accepted = 0
+    current, code, done = state, Result.SUCCESS, False
+    while not done:
+        loss = None
+        if scene.switch_times and bool(switching(scene, current)):
+            current, loss = begin_constraint(scene, current, compiled_restart)
+        out = _adaptive_chunk(scene, current, memory, end, method, tolerances, size)
+        count = int(out.accepted)
+        passed = count > 0 and passages.passed_unseen(scene, current, out.state)
+        if passed:  # somewhere in this chunk, of which nothing is kept
+            count = 0
+        else:
+            current, memory = out.state, out.control
+        cut = lambda leaf, count=count: np.asarray(leaf)[:count]
+        states, infos = jax.tree.map(cut, (out.states, out.infos))
+        if loss is not None and count:
+            losses = infos.projection_loss.copy()
+            losses[0] = loss
+            infos = infos._replace(projection_loss=losses)
+        accepted += count
+        rejected += int(out.rejected)
+        wasted += int(out.wasted)
+        code, done = Result(int(out.result)), bool(out.done)
+        if passed:
+            code, done = Result.STRAND_PASSAGE, True
+        if not done and accepted >= max_steps:
+            code, done = Result.MAX_STEPS, True
+        parts.append(Run(states, infos, as_int(code), as_int(rejected), as_int(wasted), memory))
+        if on_chunk is not None and count:
+            on_chunk(parts[-1])
+    run = join_runs(state, parts)
+    if throw:
+        results.raise_if_failed(code, f"after t = {float(current.time):g}", run)
+    return run
+
+
+def compile_adaptive_rollout(
+    scene: Scene,
+    state: State | None = None,
+    method: GeneralizedAlpha | None = None,
+    *,
+    chunk: int = 50,
+) -> None:
+    """Compile the loop of `adaptive_rollout` for this scene and chunk without taking a step.
+
+    Without a state `start(scene)` is compiled too, at the same time in a thread of its own.
+    """
+    if state is None:
+        with ThreadPoolExecutor(1) as other:
+            starting = other.submit(start, scene)
+            compile_adaptive_rollout(scene, _placeholder(scene), method, chunk=chunk)
+            starting.result()
+        return
+    control, dtype = StepControl(), state.position.dtype
+    if scene.contact is not None:
+        passages.linking_number(state)
+    state = prepare(scene, state)
+    method = GeneralizedAlpha() if method is None else method
+    memory, tolerances = begin(control, 1.0, dtype), tolerances_of(control, dtype)
+    out = _adaptive_chunk(scene, state, memory, state.time, method, tolerances, chunk)
+    jax.block_until_ready(out.accepted)
+
+
+def _placeholder(scene: Scene) -> State:
+    """A state of the kind that `start` returns, to compile with."""
+    state = placing(scene)
+    return state if scene.rod.mass is None else dataclasses.replace(state, jerk=state.rate)
+
+
+@compiled
+def _adaptive_chunk(scene, state, control, end_time, method, tolerances, size):
+    empty = lambda leaf: jnp.zeros((size, *leaf.shape), leaf.dtype)
+    switches = jnp.asarray(scene.switch_times, end_time.dtype)
+    marks = jnp.concatenate([switches, scene.corners.astype(end_time.dtype), end_time[None]])
+
+    def attempt(loop: _Chunk) -> _Chunk:
+        now, dt = loop.state.time, loop.control.dt
+        # land on the next mark, without leaving a sliver of a step before it
+        mark = jnp.min(jnp.where(marks > now, marks, jnp.inf))
+        left = mark - now
+        dt = jnp.where(left < 2 * dt, jnp.where(left < 1.01 * dt, left, 0.5 * left), dt)
+        stop = jnp.where(left <= 1.0001 * dt, mark, now + dt)
+        new, info = advance_to(scene, loop.state, stop, method)
+        error = error_ratio(tolerances, scene.rod, loop.state, info)
+        accept, following = choose(loop.control, dt, error, info, stop == mark)
+        too_small = ~accept & (following.dt < following.min_step)
+        failed = info.result != Result.SUCCESS
+        result = jnp.where(failed, info.result, Result.STEP_TOO_SMALL)
+        result = jnp.where(too_small, result, Result.SUCCESS)
+        put = lambda buffer, value: buffer.at[jnp.where(accept, loop.accepted, size)].set(
+            value, mode="drop"
+        )
+        chosen = jax.tree.map(lambda a, b: jnp.where(accept, a, b), new, loop.state)
+        one = accept.astype(jnp.int32)
+        return _Chunk(
+            chosen,
+            following,
+            jax.tree.map(put, loop.states, new),
+            jax.tree.map(put, loop.infos, info),
+            loop.accepted + one,
+            loop.rejected + 1 - one,
+            loop.wasted + (1 - one) * info.iterations,
+            result.astype(jnp.int32),
+            (chosen.time >= end_time) | too_small,
+            accept & jnp.any(chosen.time == switches),
+        )
+
+    zero = jnp.asarray(0, jnp.int32)
+    first = _Chunk(
+        state,
+        control,
+        jax.tree.map(empty, state),
+        jax.tree.map(empty, no_info(state.position.dtype)),
+        zero,
+        zero,
+        zero,
+        zero,
+        state.time >= end_time,
+        jnp.asarray(False),
+    )
+
+    def going(loop: _Chunk):
+        return ~loop.done & ~loop.switching & (loop.accepted < size)
+
+    return lax.while_loop(going, attempt, first)

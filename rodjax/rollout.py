@@ -1,0 +1,141 @@
+"""Rollouts over given times, by `lax.scan`: what gradients pass through."""
+
+import dataclasses
+from functools import partial
+
+import equinox as eqx
+import jax
+import jax.core
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+from jaxtyping import Array, Float
+
+from rodjax import newton, passages, results
+from rodjax.compilation import compiled
+from rodjax.generalized_alpha import GeneralizedAlpha
+from rodjax.results import Result
+from rodjax.run import Run
+from rodjax.scene import Scene
+from rodjax.state import State
+from rodjax.step import prepare, step
+
+
+def _is_traced(*trees) -> bool:
+    leaves = jax.tree.leaves(trees)
+    return any(isinstance(leaf, jax.core.Tracer) for leaf in leaves)
+
+
+def rollout(
+    scene: Scene,
+    state: State,
+    times: Float[Array, " k"],
+    method: GeneralizedAlpha | None = None,
+    *,
+    save_every: int = 1,
+    throw: bool = True,
+) -> Run:
+    """Step from one given time to the next by `lax.scan`, saving by step index.
+
+    Args:
+        times: ends of the steps, increasing, the first after `state.time`. A time at which an
+            end's constraint changes must be among them (within 1e-6 of a step; it is then made
+            exact).
+        save_every: store every so many steps; the number of steps must be a multiple.
+        throw: raise `SimulationError` if a step fails. Either way the motion up to the failure
+            is in the result (the states after it repeat the last good one; a passage that only
+            the linking number of the last state shows is reported with all states).
+
+    Differentiable in every array of scene, state, times and method, in forward and reverse mode;
+    the reverse pass keeps of every step Newton's solution, of every `save_every` steps the state,
+    and recomputes the rest block by block without iterating. Each step's solution takes a quarter
+    of a state, so 10 or 20 steps a block nearly reach the least memory. The times at which
+    constraints change, and the contact's `exclusion`, have no derivative.
+
+    Raises:
+        ValueError: times or schedules do not fit (checked outside traced code).
+        SimulationError: a step failed.
+    """
+    state = prepare(scene, state)
+    method = GeneralizedAlpha() if method is None else method
+    times = jnp.asarray(times, state.position.dtype)
+    if times.ndim != 1 or times.shape[0] < 1 or times.shape[0] % save_every:
+        raise ValueError(
+            f"save_every: {save_every} does not divide the {times.shape[0]} steps of `times`"
+        )
+    if not _is_traced(scene, state, times):
+        check_times(scene, state, times)
+        method.check_precision(state.position.dtype)
+    run = _rollout(scene, state, times, method, save_every)
+    ended = not _is_traced(run) and int(run.result) == Result.SUCCESS
+    if ended and passages.passed_unseen(scene, state, run.final):
+        passed = jnp.asarray(int(Result.STRAND_PASSAGE), jnp.int32)
+        run = dataclasses.replace(run, result=passed)
+    if throw:
+        if _is_traced(run.result):
+            message = "a step failed; call with throw=False and look at `result`"
+            run = eqx.error_if(run, run.result != Result.SUCCESS, message)
+        else:
+            done = run.times[-1] if run.result == 0 else jnp.max(run.times)
+            results.raise_if_failed(run.result, f"after t = {float(done):g}", run)
+    return run
+
+
+def check_times(scene: Scene, state: State, times: Float[Array, " k"]) -> None:
+    """Raise ValueError unless the times suit the scene (outside traced code)."""
+    given = np.asarray(times)
+    steps = np.diff(np.concatenate([[float(state.time)], given]))
+    if not np.all(np.isfinite(given)) or np.any(steps <= 0):
+        raise ValueError("times: must be finite and increase from after the state's time")
+    scene.check_until(float(given[-1]))
+    for switch in map(float, scene.switch_times):
+        if not float(state.time) < switch < given[-1]:
+            continue
+        nearest = int(np.argmin(np.abs(given - switch)))
+        if abs(given[nearest] - switch) > 1e-6 * steps[nearest]:
+            raise ValueError(
+                f"times: a constraint changes at {switch:g}, which must be one of the times"
+            )
+
+
+def onto_switches(scene, start, times):
+    """The times, those within rounding of a switch exactly on it."""
+    steps = jnp.diff(times, prepend=start)
+    for switch in scene.switch_times:
+        times = jnp.where(jnp.abs(times - switch) <= 1e-6 * steps, switch, times)
+    return times
+
+
+@compiled
+def _rollout(scene, state, times, method, save_every):
+    def one(carry, stop):
+        before, failed = carry
+        # after a failure no iterations are made
+        left = jnp.where(failed == Result.SUCCESS, method.max_iterations, 0)
+        limited = dataclasses.replace(method, max_iterations=left)
+        after, info = step(scene, before, stop, limited)
+        info = jax.tree.map(
+            lambda leaf: jnp.where(failed == Result.SUCCESS, leaf, jnp.zeros_like(leaf)), info
+        )
+        code = jnp.where(failed == Result.SUCCESS, info.result, failed)
+        info = info._replace(result=code)
+        good = code == Result.SUCCESS
+        after = jax.tree.map(lambda new, old: jnp.where(good, new, old), after, before)
+        return (after, code), info
+
+    # the reverse pass takes Newton's solutions from the forward pass and recomputes the rest
+    keep = jax.checkpoint_policies.save_only_these_names(newton.SOLUTION)
+    again = partial(jax.checkpoint, policy=keep, prevent_cse=False)
+
+    @again
+    def block(carry, stops):
+        carry, infos = lax.scan(again(one), carry, stops)
+        return carry, (carry[0], infos)
+
+    times = onto_switches(scene, state.time, times)
+    start = (state, jnp.asarray(0, jnp.int32))
+    (_, code), (states, infos) = lax.scan(block, start, times.reshape(-1, save_every))
+    states = jax.tree.map(lambda first, rest: jnp.concatenate([first[None], rest]), state, states)
+    infos = jax.tree.map(lambda leaf: leaf.reshape((-1, *leaf.shape[2:])), infos)
+    zero = jnp.asarray(0, jnp.int32)
+    return Run(states, infos, code, zero, zero)

@@ -1,0 +1,134 @@
+"""How an adaptive run chooses its steps: by the local error of the last."""
+
+from typing import NamedTuple
+
+import equinox as eqx
+import jax.core
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float
+
+from rodjax.rod import Rod
+from rodjax.rotations import logarithm
+from rodjax.state import State
+from rodjax.step import StepInfo
+from rodjax.strains import relative_rotation
+from rodjax.validation import as_float
+
+
+class StepControl(eqx.Module):
+    """How the adaptive rollout chooses its steps.
+
+    A step is accepted if its local error is at most `relative` times the step's own increment
+    plus `absolute` times the size of the deformation, both for displacements (in tenths of the
+    rod's length) and for rotations of the tangent [rad]. The size is the rod's total bending
+    angle, at most 1 rad: so a growing mode is followed from its imperfection on, while vibrations
+    that are small beside a developed shape are not resolved. Rotations are watched because a
+    straight rod about to buckle moves its ends in second order only; twist, whose waves are fast
+    and harmless, has a wide absolute tolerance of its own.
+
+    Args:
+        relative, absolute: tolerances.
+        twisting: absolute tolerance of the rotation about the tangent [rad].
+        first_step, max_step, min_step: [time]; max_step None means a hundredth of the run,
+            first_step None a thousandth of max_step, min_step None 1e-9 of it.
+    """
+
+    relative: Float[Array, ""] = eqx.field(converter=as_float, default=0.01)
+    absolute: Float[Array, ""] = eqx.field(converter=as_float, default=2.5e-3)
+    max_step: float | Array | None = None
+    first_step: float | Array | None = None
+    min_step: float | Array | None = None
+    twisting: Float[Array, ""] = eqx.field(converter=as_float, default=0.05)
+
+    def __check_init__(self):
+        for name in ("relative", "absolute", "twisting", "max_step", "first_step", "min_step"):
+            value = getattr(self, name)
+            if value is None or isinstance(value, jax.core.Tracer) or type(value) is object:
+                continue
+            if not np.all(np.asarray(value) > 0):
+                raise ValueError(f"{name}: must be positive, got {value}")
+
+
+class Control(NamedTuple):
+    """Memory of the step control."""
+
+    dt: Float[Array, ""]  # step to try next
+    growth: Float[Array, ""]  # how much it may grow after the next accepted step
+    max_step: Float[Array, ""]  # bounds of the step; those left to the rollout depend on its span,
+    min_step: Float[Array, ""]  # so a resumed run takes them from here
+
+
+def tolerances_of(control: StepControl, dtype) -> tuple[Array, ...]:
+    """Relative, absolute and twisting tolerance in the run's precision."""
+    return tuple(
+        jnp.asarray(t, dtype) for t in (control.relative, control.absolute, control.twisting)
+    )
+
+
+def begin(control: StepControl, span: float, dtype, resume: Control | None = None) -> Control:
+    """Memory to start with: that of the run resumed, and what `control` says anew."""
+    as_array = lambda x: jnp.asarray(x, dtype)
+    max_step = span / 100 if resume is None else resume.max_step
+    max_step = as_array(max_step if control.max_step is None else control.max_step)
+    min_step = 1e-9 * max_step if resume is None else resume.min_step
+    min_step = as_array(min_step if control.min_step is None else control.min_step)
+    if resume is not None:
+        return Control(as_array(resume.dt), as_array(resume.growth), max_step, min_step)
+    first = 1e-3 * max_step if control.first_step is None else control.first_step
+    return Control(as_array(first), as_array(2.0), max_step, min_step)
+
+
+def error_ratio(
+    tolerances: tuple[Array, ...], rod: Rod, before: State, info: StepInfo
+) -> Float[Array, ""]:
+    """Local error of a step over the largest allowed: at most 1 is accepted."""
+    relative, absolute, twisting = tolerances
+    dtype = before.position.dtype
+    length = jnp.sum(rod.length)
+    phi = logarithm(relative_rotation(before.quaternion))[:, :2]
+    bent = jnp.sum(jnp.sqrt(jnp.sum(phi**2, 1) + jnp.finfo(dtype).tiny))
+    bent = jnp.clip(bent, 1e-6, 1.0)
+    # of positions, over an element's length in rotations: in single precision this noise would
+    # else be taken for the error of a small step, and drive it to zero
+    rounding = 10 * jnp.finfo(dtype).eps
+    allowed = lambda growth, unit, floor: relative * growth + absolute * unit + floor
+    position = allowed(info.growth_position, 0.1 * bent * length, rounding * length)
+    bending = allowed(info.growth_bending, bent, rounding * rod.elements)
+    ratios = [
+        info.error_position / position,
+        info.error_bending / bending,
+        info.error_twisting / (relative * info.growth_twisting + twisting),
+    ]
+    # the shock of a new constraint is not resolved but damped: keep the step through it
+    return jnp.where(info.settling, 0.5, jnp.max(jnp.stack(ratios)))
+
+
+def choose(
+    control: Control,
+    dt: Float[Array, ""],
+    error: Float[Array, ""],
+    info: StepInfo,
+    on_mark: Bool[Array, ""],
+) -> tuple[Bool[Array, ""], Control]:
+    """Whether a step of size `dt` is accepted, and the control for the next.
+
+    Args:
+        error: see `error_ratio`.
+        on_mark: the step was shortened to end on a mark, which says nothing of the next.
+    """
+    failed = info.result != 0
+    error = jnp.where(failed, 8.0, jnp.maximum(error, 1e-6))
+    accept = ~failed & (error <= 1.0)
+    factor = jnp.clip(0.85 * error ** (-1 / 3), 0.25, control.growth)
+    # many iterations: near the limit of what Newton can do, so do not ask for more
+    factor = jnp.where(info.iterations > 8, jnp.minimum(factor, 0.8), factor)
+    # a dead band: every jump of the step makes forces first order for a while
+    factor = jnp.where(accept & (factor > 0.9) & (factor < 1.2), 1.0, factor)
+    factor = jnp.where(accept, factor, jnp.minimum(factor, 0.7))
+    # growth is forbidden after a failure and given back gradually
+    growth = jnp.where(accept, jnp.minimum(control.growth * 1.06, 2.0), 1.2)
+    growth = jnp.where(failed, 1.0, growth).astype(dt.dtype)
+    trial = jnp.where(accept & on_mark, jnp.maximum(dt, control.dt), dt)
+    dt = jnp.minimum(trial * factor, control.max_step)
+    return accept, control._replace(dt=dt, growth=growth)
