@@ -541,7 +541,8 @@ def dismech_system(problem: Problem | Bend, elements: int, theta: float) -> Dism
     )
     if not bend:
         rest = solver.triplets.rest.numpy()
-        rest[:, 2] += problem.seed_curvature * 0.5 * (arc[2:] - arc[:-2])
+        # its second curvature is about minus the first director
+        rest[:, 3] -= problem.seed_curvature * 0.5 * (arc[2:] - arc[:-2])
         solver.triplets.rest.assign(rest)
         if problem.slides:  # the last edge stays on the axis and does not turn
             held = solver.fixed.numpy()
