@@ -282,8 +282,9 @@ def pyelastica_system(
 
         def apply_forces(self, system, time=0.0):
             drag = self.drag
+            scale = 0.5 * drag.fluid_density * self.diameter
             _drag(system.tangents, system.velocity_collection, system.external_forces,
-                  0.5 * drag.fluid_density * self.diameter, drag.normal, drag.tangential)  # fmt: skip
+                  scale, drag.normal, drag.tangential)  # fmt: skip
 
     @njit
     def _drag(tangents, velocity, force, scale, normal, tangential):
@@ -383,9 +384,7 @@ def near_self_contact(margin: float, every: int):
             if depth <= 0:
                 continue
             normal = between / distance
-            mean = 0.5 * (
-                velocity[:, i] + velocity[:, i + 1] - velocity[:, j] - velocity[:, j + 1]
-            )
+            mean = 0.5 * (velocity[:, i] + velocity[:, i + 1] - velocity[:, j] - velocity[:, j + 1])
             half = 0.5 * (k * depth + nu * np.sum(mean * normal)) * normal
             to_i = (4 / 3, 2 / 3) if i == last else (1.0, 1.0)
             to_j = (2 / 3, 4 / 3) if j == 0 else (1.0, 1.0)
@@ -410,6 +409,7 @@ def near_self_contact(margin: float, every: int):
                       rod.velocity_collection, rod.external_forces, self.k, self.nu)  # fmt: skip
 
     return Near
+
 
 def pyelastica_steps(
     system: Elastica, times, dt: float, look: Callable[[Any, float], None]

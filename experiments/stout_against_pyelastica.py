@@ -195,7 +195,13 @@ def rodjax_run(until: float, elements: int, tighter: float) -> tuple[Series, Cos
     simulate.compile_adaptive_rollout(scene)
     first = start(scene)
     before = time.process_time(), time.perf_counter()
-    run = simulate.adaptive_rollout(scene, first, until, control=control, throw=False)
+    report = lambda part: print(
+        f"rodjax, {elements} elements: t = {float(part.times[-1]):.2f} s,"
+        f" {int(part.rejected)} rejected", file=sys.stderr, flush=True
+    )  # fmt: skip
+    run = simulate.adaptive_rollout(
+        scene, first, until, control=control, on_chunk=report, throw=False
+    )
     jax.block_until_ready(run.states)
     cost = Cost(
         time.process_time() - before[0],
@@ -314,7 +320,10 @@ def main(argv=None) -> int:
         "PyElastica": deviation(theirs, theirs_fine, until),
         "refined runs, of each other": deviation(ours_fine, theirs_fine, until),
     }
-    lines = [f"{'deviation of 2 s means':32}" + "".join(f"{name + ' rms, largest':>24}" for name in COMPARED)]  # noqa: E501
+    lines = [
+        f"{'deviation of 2 s means':32}"
+        + "".join(f"{name + ' rms, largest':>24}" for name in COMPARED)
+    ]
     for who, found in errors.items():
         cells = "".join(f"{found[q]['rms']:15.2e} {found[q]['largest']:8.1e}" for q in COMPARED)
         lines.append(f"{who:32}{cells}")

@@ -191,8 +191,9 @@ class Penalty(AbstractLaw):
     With the depth x = D - d and width = softness D: e = 0 for x < 0, x^2 / (2 width) up to the
     width, x - width / 2 beyond it: C1, linear but for a short beginning. `stiffness` [N/m^3]. The
     second term damps: `relaxation` [s] is the time in which the indentation of unloaded strands
-    falls by e. It may pull while strands part, as a spring and dashpot side by side do (PyElastica's
-    `RodSelfContact`, of k and nu per pair of elements, has relaxation = nu / k and softness 0).
+    falls by e. It may pull while strands part, as a spring and a dashpot side by side do
+    (PyElastica's `RodSelfContact`, of k and nu for a pair of elements, is one with relaxation
+    nu / k and no soft beginning).
 
     Strands side by side, at d = D - x with width << x << D, push each other by
     (4/3) stiffness x sqrt(2 D x) per length, the integral of psi along either.
