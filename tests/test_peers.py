@@ -1,9 +1,12 @@
 """The other codes: the same problems as rodjax's scenes, and the comparison on the stout rod."""
 
+import dataclasses
+import importlib.util
 import json
 import sys
 from pathlib import Path
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -16,11 +19,16 @@ import rodjax as rx
 CANTILEVER = peers.PROBLEMS["cantilever"]
 
 
+def shorter(problem: peers.Problem, count: int) -> peers.Problem:
+    """The first few recorded times."""
+    return dataclasses.replace(problem, times=problem.times[:count])
+
+
 def swing(elements: int) -> np.ndarray:
     """rodjax's cantilever at the recorded times and points up to 0.25 s."""
     scene = peers.rodjax_scene(CANTILEVER, elements)
-    run = rx.rollout(scene, rx.start(scene), np.linspace(0, 0.25, 101)[1:])
-    seen = rx.positions_at(run, np.array(CANTILEVER.times[:5]))
+    run = rx.rollout(scene, rx.start(scene), jnp.linspace(0, 0.25, 101)[1:])
+    seen = rx.positions_at(run, jnp.asarray(CANTILEVER.times[:5]))
     return np.asarray(seen[:, :: elements // (peers.POINTS - 1)])
 
 
@@ -111,22 +119,16 @@ def test_list_of_near_pairs_gives_pyelasticas_own_contact_forces():
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore")  # of newton and warp
 def test_dismech_newton_finds_the_bend_and_the_cantilever(swung):
-    pytest.importorskip("dismech_newton.state" if sys.version_info >= (3, 14) else "warp")
+    if importlib.util.find_spec("dismech_newton") is None:
+        pytest.skip("dismech-newton is not installed")
     bend = peers.run("dismech-newton", "bend", 40, 0.0)
     if isinstance(bend, peers.CannotRun):
         pytest.skip(bend.reason)
-    # shared/validation: inextensible (47.151, 15.685, 53.469)
+    # of an inextensible rod, from the continuous equations
     np.testing.assert_allclose(bend.positions[-1, -1], [47.151, 15.685, 53.469], atol=0.06)
     found = peers.run_dismech(shorter(CANTILEVER, 5), 40, 2.5e-3).positions
     moved = np.max(np.abs(swung - swung[0, :1]))
     assert np.max(np.abs(found - swung)) < 1e-2 * moved
-
-
-def shorter(problem: peers.Problem, count: int) -> peers.Problem:
-    """The first few recorded times."""
-    import dataclasses
-
-    return dataclasses.replace(problem, times=problem.times[:count])
 
 
 @pytest.mark.slow
