@@ -48,7 +48,7 @@ UNTIL = 32.0  # [s]
 RECORD = 0.1  # [s]
 WINDOW = 2.0  # [s]
 SPRING, DASHPOT = 1e4, 10.0  # PyElastica's k [N/m] and nu [N s/m] at 100 elements
-DEPTH = 1e-4  # where the laws of both codes are equal [m]: what the strands of PyElastica settle at
+DEPTH = 2.5e-4  # where the laws of both codes are equal [m]: about where the strands settle
 SOFTNESS = 5e-3  # in diameters
 PAIR_MARGIN = 0.01  # [m], of the list of near pairs in the refined run
 PAIR_CALLS = 40
@@ -65,7 +65,6 @@ class Series(NamedTuple):
     torsion: np.ndarray
     stretch: np.ndarray  # of axial stretch and shear
     kinetic: np.ndarray
-    gap: np.ndarray  # least distance of strands more than 3 D apart along the rod, over D
 
 
 COMPARED = ("writhe", "bending", "torsion", "kinetic")
@@ -116,14 +115,18 @@ def problem(until: float) -> peers.Problem:
     )
 
 
-def penalty() -> Contact:
-    """rodjax's contact, equal to PyElastica's between parallel strands at `DEPTH`."""
+def penalty(elements: int) -> Contact:
+    """rodjax's contact, equal to PyElastica's between parallel strands at `DEPTH`.
+
+    Contact's segments are as long as the elements; its points resolve the law, 1 mm apart at 100
+    elements: at the depth x, half of sqrt(2 D x).
+    """
     width = np.sqrt(2 * PRESET.diameter * DEPTH)
     stiffness = 1.5 * SPRING / (example.LENGTH / 100 * width)
     return Contact(
         Penalty(stiffness, softness=SOFTNESS, relaxation=DASHPOT / SPRING),
-        segments=200,
-        points_per_segment=7,
+        segments=elements,
+        points_per_segment=10,
         cutoff=1.2 * PRESET.diameter,
         edge=0.1,
         aperture=2 * np.pi / 3,
@@ -137,17 +140,9 @@ def applied_turns(times, until: float) -> np.ndarray:
 
 
 @compiled
-def _shapes(positions, frames, exclusion):
-    """Twist, writhe and least distance beyond an exclusion (in vertices) of framed polygons."""
-
-    def one(shape):
-        x, q = shape
-        i = jnp.arange(x.shape[0])
-        far = jnp.abs(i[:, None] - i[None, :]) >= exclusion
-        apart = jnp.linalg.norm(x[:, None] - x[None, :] + 1e-30, axis=-1)
-        gap = jnp.min(jnp.where(far, apart, jnp.inf))
-        return topology.twist(x, q), topology.writhe(x), gap
-
+def _linking(positions, frames):
+    """Twist and writhe of framed polygons."""
+    one = lambda shape: (topology.twist(*shape), topology.writhe(shape[0]))
     return lax.map(one, (positions, frames))
 
 
@@ -180,16 +175,14 @@ def pyelastica_series(until: float, times, positions, frames, energies) -> Serie
 
     quaternions = Rotation.from_matrix(frames.reshape(-1, 3, 3)).as_quat()[:, [3, 0, 1, 2]]
     quaternions = quaternions.reshape(*frames.shape[:2], 4)
-    exclusion = round(3 * PRESET.diameter / example.LENGTH * frames.shape[1])
-    twist, writhe, gap = _shapes(jnp.asarray(positions), jnp.asarray(quaternions), exclusion)
-    turns = applied_turns(times, until)
-    return Series(times, turns, *map(np.asarray, (twist, writhe)), *energies.T,
-                  np.asarray(gap) / PRESET.diameter)  # fmt: skip
+    twist, writhe = _linking(jnp.asarray(positions), jnp.asarray(quaternions))
+    columns = (times, applied_turns(times, until), twist, writhe)
+    return Series(*map(np.asarray, columns), *energies.T)
 
 
 def rodjax_run(until: float, elements: int, tighter: float) -> tuple[Series, Cost]:
     """rodjax, by adaptive steps with the preset's tolerances divided by `tighter`."""
-    scene = peers.rodjax_scene(problem(until), elements, penalty())
+    scene = peers.rodjax_scene(problem(until), elements, penalty(elements))
     relative, absolute = (tolerance / tighter for tolerance in PRESET.tolerances)
     control = simulate.StepControl(relative, absolute, PRESET.max_step)
     simulate.compile_adaptive_rollout(scene)
@@ -225,9 +218,8 @@ def rodjax_series(scene: Scene, run: simulate.Run) -> Series:
 
     linking = measures.linking(scene, run)
     found = np.asarray(energies(scene, run.states))
-    gap = measures.contacts(scene, run).smallest
     columns = (run.times, linking.turns, linking.twist, linking.writhe)
-    return Series(*map(np.asarray, columns), *found.T, np.asarray(gap))
+    return Series(*map(np.asarray, columns), *found.T)
 
 
 def stored(path: Path, compute) -> tuple[Series, Cost]:
@@ -332,8 +324,7 @@ def main(argv=None) -> int:
         lines.append(
             f"{name:28} {c.cpu_seconds:9.1f} CPU s {c.steps:9d} steps   Wr at the end"
             f" {series.writhe[-1]:7.4f}, Tw + Wr - Lk at most"
-            f" {np.max(np.abs(series.twist + series.writhe - series.turns)):.1e},"
-            f" least d/D {np.min(series.gap):.4f}"
+            f" {np.max(np.abs(series.twist + series.writhe - series.turns)):.1e}"
         )
     ratio = peer_cost.cpu_seconds / cost.cpu_seconds
     lines.append(f"PyElastica takes {ratio:.1f} times the CPU seconds of rodjax at {n} elements")

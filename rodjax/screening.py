@@ -183,9 +183,14 @@ def passage_suspected(
     first, second, between = a1 - a0, b1 - b0, b0 - a0
     dot = lambda x, y: jnp.sum(x * y, 1)
     # parameters of the common point on the two lines, both times the determinant
-    determinant = dot(first, first) * dot(second, second) - dot(first, second) ** 2
+    product = dot(first, first) * dot(second, second)
+    determinant = product - dot(first, second) ** 2
     on_first = dot(second, second) * dot(first, between) - dot(first, second) * dot(second, between)
     on_second = dot(first, second) * dot(first, between) - dot(first, first) * dot(second, between)
     inside = lambda u: (u >= 0) & (u <= determinant)
-    crossed = (start * end < 0) & inside(on_first) & inside(on_second) & (determinant > 0)
+    # the chords of neighbours, and those in one line as of a straight rod, have a common point by
+    # rounding only
+    askew = determinant > 1e4 * jnp.finfo(old.dtype).eps * product
+    apart = near.second - near.first > 1
+    crossed = (start * end < 0) & inside(on_first) & inside(on_second) & askew & apart
     return jnp.any(crossed & valid)

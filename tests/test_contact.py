@@ -370,6 +370,30 @@ def test_passage_is_seen_fast_or_slow(pieces):
     assert not passed(jnp.asarray([-0.16, 0.0, 0.6]))
 
 
+@pytest.mark.parametrize("bend", [0.0, 1e-9, 0.3])
+def test_no_passage_is_seen_along_one_strand(bend):
+    """Segments as long as the cut-off: neighbours are listed, and cross by rounding if at all."""
+    section = circular_section(DIAMETER, 1e6, 5e5, 1500.0)
+    rod = straight_rod(1.0, 40, section, direction=(0.3, 1.0, 0.7))
+    scene = Scene(rod, contact=Contact(LAWS["damped"], 20, cutoff=0.06, points_per_segment=10))
+    s = np.asarray(rod.arc_length)
+    random = np.random.default_rng(0)
+
+    @eqx.filter_jit
+    def seen(before, after):
+        nearby = find_nearby(scene, before, after - before)
+        return nearby.near.count, screening.passage_suspected(*nearby, before, after)
+
+    def shape():
+        wave = np.outer(np.sin(3 * s + random.uniform(0, 6)), random.normal(size=3))
+        noise = random.normal(size=rod.position.shape)
+        return rod.position + jnp.asarray(bend * wave + 1e-12 * noise)
+
+    for _ in range(20):
+        count, passage = seen(shape(), shape())
+        assert count > 15 and not passage
+
+
 def test_gradient_through_a_step_in_contact(bent):
     scene, state, _ = bent
 

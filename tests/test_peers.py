@@ -154,11 +154,11 @@ def test_window_means_of_a_series_of_unequal_steps():
     import stout_against_pyelastica as stout
 
     time = np.sort(np.append(np.random.default_rng(0).uniform(0, 8, 300), [0.0, 8.0]))
-    linear = stout.Series(time, *[2 * time] * 8)
+    linear = stout.Series(time, *[2 * time] * 7)
     np.testing.assert_allclose(stout.window_means(linear, "writhe", 8.0), [2, 6, 10, 14])
-    other = stout.Series(time, *[2 * time + 0.5] * 8)
+    other = stout.Series(time, *[2 * time + 0.5] * 7)
     found = stout.deviation(other, linear, 8.0)
     assert found["writhe"]["rms"] == pytest.approx(0.5)
     assert found["torsion"]["largest"] == pytest.approx(0.5 / 14)
-    stopped = stout.Series(time[:100], *[2 * time[:100]] * 8)
+    stopped = stout.Series(time[:100], *[2 * time[:100]] * 7)
     assert np.isnan(stout.deviation(stopped, linear, 8.0)["writhe"]["rms"])
