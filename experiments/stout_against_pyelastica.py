@@ -82,7 +82,7 @@ def arguments(argv=None) -> argparse.Namespace:
     """Options of the command line, with the defaults that --quick changes."""
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument("--elements", type=int, metavar="N", help="default 100 (30 with --quick)")
-    parser.add_argument("--until", type=float, metavar="T", help="end [s]; default 32 (0.4)")
+    parser.add_argument("--until", type=float, metavar="T", help="end [s]; default 32 (1)")
     parser.add_argument("--peer-dt", type=float, default=2.5e-5, metavar="DT", help="[s]")
     parser.add_argument("--quick", action="store_true", help="coarse and short, to try it out")
     parser.add_argument(
@@ -92,7 +92,7 @@ def arguments(argv=None) -> argparse.Namespace:
     if options.elements is None:
         options.elements = 30 if options.quick else 100
     if options.until is None:
-        options.until = 0.4 if options.quick else UNTIL
+        options.until = 1.0 if options.quick else UNTIL
     for name in ("elements", "until", "peer_dt"):
         if not getattr(options, name) > 0:
             parser.error(f"--{name.replace('_', '-')}: must be positive")
@@ -159,7 +159,7 @@ def pyelastica_run(until: float, elements: int, dt: float, near: bool) -> tuple[
         moment = moment @ rod.rest_voronoi_lengths
         moving = rod.compute_translational_energy() + rod.compute_rotational_energy()
         energies = (moment[0] + moment[1], moment[2], rod.compute_shear_energy(), moving)
-        frames = np.moveaxis(rod.director_collection, 2, 0).transpose(0, 2, 1)
+        frames = rod.director_collection.transpose(2, 1, 0).copy()  # body to inertial
         seen.append((now, rod.position_collection.T.copy(), frames, energies))
         if len(seen) % 10 == 0:
             print(f"PyElastica, {elements} elements: t = {now:.1f} s", file=sys.stderr, flush=True)
@@ -189,7 +189,7 @@ def rodjax_run(until: float, elements: int, tighter: float) -> tuple[Series, Cos
     first = start(scene)
     before = time.process_time(), time.perf_counter()
     report = lambda part: print(
-        f"rodjax, {elements} elements: t = {float(part.times[-1]):.2f} s,"
+        f"rodjax, {elements} elements: t = {float(part.states.time[-1]):.2f} s,"
         f" {int(part.rejected)} rejected", file=sys.stderr, flush=True
     )  # fmt: skip
     run = simulate.adaptive_rollout(
