@@ -295,7 +295,7 @@ def main(argv=None) -> int:
     options.out.mkdir(parents=True, exist_ok=True)
     n, until, dt = options.elements, options.until, options.peer_dt
     jobs = {
-        f"rodjax, {n} elements": (f"rodjax_{n}.npz", lambda: rodjax_run(until, n, 1.0)),
+        f"rodjax, {n} elements": (f"rodjax_{n}.npz", lambda: rodjax_run(until, n, 2.0)),
         f"rodjax, {2 * n} elements": (f"rodjax_{2 * n}.npz", lambda: rodjax_run(until, 2 * n, 4.0)),
         f"PyElastica, {n} elements": (
             f"pyelastica_{n}.npz",
