@@ -15,7 +15,7 @@ import jax.core
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from rodjax.validation import as_float, check_finite, check_positive
+from rodjax.validation import as_float, check_finite, check_not_negative, check_positive
 
 
 class PairProperties(NamedTuple):
@@ -186,17 +186,26 @@ class Barrier(AbstractLaw):
 
 
 class Penalty(AbstractLaw):
-    """Two solids: psi = stiffness (D - d)^2 / (2 width) growing linear beyond width = softness D.
+    """Two solids pressed flat: psi = stiffness (e + relaxation de/dt), e the indentation [m].
 
-    Zero for d > D, quadratic over the `softness` D below D, then linear with the slope
-    `stiffness` [N/m^3]; C1 throughout.
+    With the depth x = D - d and width = softness D: e = 0 for x < 0, x^2 / (2 width) up to the
+    width, x - width / 2 beyond it: C1, linear but for a short beginning. `stiffness` [N/m^3]. The
+    second term damps: `relaxation` [s] is the time in which the indentation of unloaded strands
+    falls by e. It may pull while strands part, as a spring and a dashpot side by side do
+    (PyElastica's `RodSelfContact`, of k and nu for a pair of elements, is one with relaxation
+    nu / k and no soft beginning).
+
+    Strands side by side, at d = D - x with width << x << D, push each other by
+    (4/3) stiffness x sqrt(2 D x) per length, the integral of psi along either.
     """
 
     stiffness: Float[Array, ""] = eqx.field(converter=as_float)
     softness: Float[Array, ""] = eqx.field(converter=as_float, default=0.05)
+    relaxation: Float[Array, ""] = eqx.field(converter=as_float, default=0.0)
 
     def __check_init__(self):
         check_positive(stiffness=self.stiffness, softness=self.softness)
+        check_not_negative(relaxation=self.relaxation)
 
     def smallest(self, pair) -> Array:
         return jnp.zeros_like(pair.diameter)
@@ -204,6 +213,7 @@ class Penalty(AbstractLaw):
     def repulsion(self, distance, approach, pair):
         depth = jnp.maximum(pair.diameter - distance, 0.0)
         width = self.softness * pair.diameter
-        return self.stiffness * jnp.where(
-            depth < width, 0.5 * depth**2 / width, depth - 0.5 * width
-        )
+        begins = depth < width
+        indentation = jnp.where(begins, 0.5 * depth**2 / width, depth - 0.5 * width)
+        rate = jnp.where(begins, depth / width, 1.0) * approach
+        return self.stiffness * (indentation + self.relaxation * rate)

@@ -159,12 +159,10 @@ def passage_suspected(
 
     Two chords cross when the volume of the tetrahedron of their four joints changes sign, at a
     moment when the point common to their lines lies on both: that moment and point are found on
-    the straight ways of the joints. A slow passage is seen as well as a fast one. Chords that are
-    parallel to rounding have no such point, and neighbours always share one: those of a straight
-    rod would else seem to cross.
+    the straight ways of the joints. A slow passage is seen as well as a fast one.
     """
     old, new = (lax.stop_gradient(interpolate(where, x)) for x in (before, after))
-    valid = (jnp.arange(near.first.shape[0]) < near.count) & (near.second - near.first > 1)
+    valid = jnp.arange(near.first.shape[0]) < near.count
 
     def chords(x):
         a, b = x[near.first], x[near.second]
@@ -185,10 +183,14 @@ def passage_suspected(
     first, second, between = a1 - a0, b1 - b0, b0 - a0
     dot = lambda x, y: jnp.sum(x * y, 1)
     # parameters of the common point on the two lines, both times the determinant
-    determinant = dot(first, first) * dot(second, second) - dot(first, second) ** 2
+    product = dot(first, first) * dot(second, second)
+    determinant = product - dot(first, second) ** 2
     on_first = dot(second, second) * dot(first, between) - dot(first, second) * dot(second, between)
     on_second = dot(first, second) * dot(first, between) - dot(first, first) * dot(second, between)
     inside = lambda u: (u >= 0) & (u <= determinant)
-    rounding = 100 * jnp.finfo(before.dtype).eps * dot(first, first) * dot(second, second)
-    crossed = (start * end < 0) & inside(on_first) & inside(on_second) & (determinant > rounding)
+    # the chords of neighbours, and those in one line as of a straight rod, have a common point by
+    # rounding only
+    askew = determinant > 1e4 * jnp.finfo(old.dtype).eps * product
+    apart = near.second - near.first > 1
+    crossed = (start * end < 0) & inside(on_first) & inside(on_second) & askew & apart
     return jnp.any(crossed & valid)

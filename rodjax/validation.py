@@ -36,3 +36,10 @@ def check_positive(**values) -> None:
     for name, value in values.items():
         if known(value) and not np.all(np.isfinite(value) & (np.asarray(value) > 0)):
             raise ValueError(f"{name}: must be positive and finite, got {value}")
+
+
+def check_not_negative(**values) -> None:
+    """Raise ValueError unless the known values are finite and not negative."""
+    for name, value in values.items():
+        if known(value) and not np.all(np.isfinite(value) & (np.asarray(value) >= 0)):
+            raise ValueError(f"{name}: must be finite and not negative, got {value}")

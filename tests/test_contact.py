@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from helpers import DIAMETER, hairpin, random_arrays
+from helpers import DIAMETER, hairpin
 
 from rodjax import contact as contact_of
 from rodjax import contact_forces as forces_of
@@ -32,6 +32,7 @@ LAWS = {
     "debye_hueckel": laws.DebyeHueckel(strength=0.1, screening=0.02),
     "barrier": laws.Barrier(stiffness=1e6),
     "penalty": laws.Penalty(stiffness=1e6),
+    "damped_penalty": laws.Penalty(stiffness=1e6, relaxation=2e-3),
 }
 
 
@@ -79,6 +80,62 @@ def test_barrier_acts_from_touching_on_and_lennard_jones_rests_at_its_minimum():
     lj = lambda d: laws.continued(LAWS["lennard_jones"], jnp.asarray(d), jnp.asarray(0.0), PAIR)
     assert abs(lj(rest)) < 1e-10 * lj(0.9 * rest)
     assert lj(1.1 * rest) < 0
+
+
+def test_penalty_is_a_spring_and_a_dashpot():
+    """Beyond the soft beginning K (x - width/2 + relaxation c), and its derivatives."""
+    law, width = LAWS["damped_penalty"], 0.05 * DIAMETER
+    depth, c = 0.2 * DIAMETER, 0.3
+    value = lambda d, c: law.repulsion(d, c, PAIR)
+    at = (jnp.asarray(DIAMETER - depth), jnp.asarray(c))
+    np.testing.assert_allclose(value(*at), 1e6 * (depth - 0.5 * width + 2e-3 * c), rtol=1e-12)
+    np.testing.assert_allclose(jax.grad(value)(*at), -1e6, rtol=1e-12)
+    np.testing.assert_allclose(jax.grad(value, 1)(*at), 2e3, rtol=1e-12)
+    # in the beginning it fades to nothing, dashpot and all; apart there is nothing
+    at = (jnp.asarray(DIAMETER - 0.4 * width), jnp.asarray(c))
+    expected = 1e6 * (0.08 * width + 2e-3 * 0.4 * c)
+    np.testing.assert_allclose(value(*at), expected, rtol=1e-12)
+    assert value(jnp.asarray(DIAMETER), jnp.asarray(c)) == 0
+    assert value(jnp.asarray(1.1 * DIAMETER), jnp.asarray(-c)) == 0
+
+
+def test_penalty_dissipates_over_a_cycle():
+    """Work of the strands against the law as they approach and part: none without relaxation."""
+    phase = np.linspace(0, 2 * np.pi, 20001)
+    amplitude, rate = 0.3 * DIAMETER, 5.0
+    distance = DIAMETER - amplitude * (1 - np.cos(phase)) / 2
+    approach = 0.5 * amplitude * rate * np.sin(phase)
+
+    def work(law):
+        psi = jax.vmap(lambda d, c: law.repulsion(d, c, PAIR))
+        force = np.asarray(psi(jnp.asarray(distance), jnp.asarray(approach)))
+        return np.trapezoid(force * approach, phase / rate)
+
+    scale = 1e6 * amplitude**2
+    assert abs(work(LAWS["penalty"])) < 1e-9 * scale
+    # K tau oint (d indentation/dt) c dt, the indentation's slope taken at its cubic beginning
+    slope = np.minimum((DIAMETER - distance) / (0.05 * DIAMETER), 1.0)
+    expected = 1e6 * 2e-3 * np.trapezoid(slope * approach**2, phase / rate)
+    assert expected > 1e-4 * scale
+    np.testing.assert_allclose(work(LAWS["damped_penalty"]), expected, rtol=1e-6)
+
+
+def test_penalty_between_parallel_strands_is_that_of_its_docstring():
+    law = laws.Penalty(stiffness=1e6, softness=1e-5)
+    depth = 0.01 * DIAMETER
+    gap = DIAMETER - depth
+    reach = np.sqrt(DIAMETER**2 - gap**2)
+    along = np.linspace(-reach, reach, 200001)
+    distance = jnp.asarray(np.hypot(gap, along))
+    psi = law.repulsion(distance, jnp.zeros_like(distance), PAIR)
+    force = np.trapezoid(np.asarray(psi) * gap / np.asarray(distance), along)
+    expected = 4 / 3 * 1e6 * depth * np.sqrt(2 * DIAMETER * depth)
+    np.testing.assert_allclose(force, expected, rtol=0.02)  # to first order in depth / D
+
+
+def test_penalty_rejects_a_negative_relaxation():
+    with pytest.raises(ValueError, match="relaxation: must be finite and not negative"):
+        laws.Penalty(stiffness=1e6, relaxation=-1.0)
 
 
 def test_points_find_their_partners(bent):
@@ -203,6 +260,7 @@ SETTLED = {
     "debye_hueckel": DIAMETER,
     "barrier": 1.05 * DIAMETER,
     "penalty": 0.99 * DIAMETER,
+    "damped_penalty": 0.99 * DIAMETER,
 }
 
 
@@ -312,19 +370,28 @@ def test_passage_is_seen_fast_or_slow(pieces):
     assert not passed(jnp.asarray([-0.16, 0.0, 0.6]))
 
 
-def test_straight_rod_does_not_cross_itself():
-    """Neighbouring segments share a joint, and chords parallel to rounding meet anywhere."""
-    section = circular_section(1e-2, 1.25e7, 5e6, 1500.0)
-    law = laws.DampedInversePower(k1=1e-7, k3=1e-6, reference_spacing=1e-3)
-    contact = Contact(law, segments=100, points_per_segment=8, cutoff=12e-3, aperture=2.1)
-    scene = Scene(straight_rod(1.0, 60, section, direction=(0, 1, 0)), contact=contact)
-    place = scene.rod.position
-    nearby = find_nearby(scene, place, jnp.zeros_like(place))
-    assert int(nearby.near.count) > 0  # neighbours are in the list
-    for size in (1e-17, 1e-12, 1e-8):
-        for shift in random_arrays(3, *[place.shape] * 4):
-            before, after = place - size * shift, place + size * shift[::-1]
-            assert not screening.passage_suspected(*nearby, before, after)
+@pytest.mark.parametrize("bend", [0.0, 1e-9, 0.3])
+def test_no_passage_is_seen_along_one_strand(bend):
+    """Segments as long as the cut-off: neighbours are listed, and cross by rounding if at all."""
+    section = circular_section(DIAMETER, 1e6, 5e5, 1500.0)
+    rod = straight_rod(1.0, 40, section, direction=(0.3, 1.0, 0.7))
+    scene = Scene(rod, contact=Contact(LAWS["damped"], 20, cutoff=0.06, points_per_segment=10))
+    s = np.asarray(rod.arc_length)
+    random = np.random.default_rng(0)
+
+    @eqx.filter_jit
+    def seen(before, after):
+        nearby = find_nearby(scene, before, after - before)
+        return nearby.near.count, screening.passage_suspected(*nearby, before, after)
+
+    def shape():
+        wave = np.outer(np.sin(3 * s + random.uniform(0, 6)), random.normal(size=3))
+        noise = random.normal(size=rod.position.shape)
+        return rod.position + jnp.asarray(bend * wave + 1e-12 * noise)
+
+    for _ in range(20):
+        count, passage = seen(shape(), shape())
+        assert count > 15 and not passage
 
 
 def test_gradient_through_a_step_in_contact(bent):
