@@ -118,6 +118,8 @@ class Bend:
 PROBLEMS: dict[str, Problem | Bend] = {
     "cantilever": Problem((1.0, 0.0, 0.0), _until(1.0, 20), gravity=(0.0, 0.0, -9.81)),
     "bend": Bend(),
+    # it buckles at 4 s and has drawn itself into a loop at 4.8 s; without contact its strands pass
+    # through each other just after
     "buckling": Problem(
         (0.0, 0.0, 1.0),
         _until(8.0, 40),

@@ -14,15 +14,15 @@ from typing import NamedTuple
 import _settings  # noqa: F401 (first)
 import example
 import numpy as np
+import peers
 
-from rodjax.ends import Clamped, Free, Slider, Turn
-from rodjax.loads import Gravity, MorisonDrag, PointLoad
-from rodjax.rod import Section, circular_section, curved_rod, straight_rod
+from rodjax.ends import Clamped, Free
+from rodjax.loads import PointLoad
+from rodjax.rod import Section, curved_rod
 from rodjax.scene import Scene
-from rodjax.schedules import Constant, PiecewiseLinear
+from rodjax.schedules import Constant
 
-POINTS = 11
-SHEAR_FACTOR = 27 / 28  # alpha_c of PyElastica for circular sections
+POINTS = peers.POINTS
 
 
 @dataclasses.dataclass(frozen=True)
@@ -69,57 +69,30 @@ def until(end: float, count: int) -> tuple[float, ...]:
     return tuple(float(t) for t in np.linspace(0.0, end, count + 1)[1:])
 
 
-def _circular(compliant: bool):
-    return circular_section(
-        0.01, 1.25e7, 5e6, 1500.0, extensible=compliant, shear_factor=SHEAR_FACTOR
-    )
-
-
-def cantilever(compliant: bool) -> Callable[[int], Scene]:
-    """Released straight under gravity."""
-
-    def build(elements):
-        rod = straight_rod(1.0, elements, _circular(compliant), direction=(1.0, 0.0, 0.0))
-        return Scene(rod, Clamped(), Free(), (Gravity((0.0, 0.0, -9.81)),))
-
-    return build
-
-
-def buckling(compliant: bool) -> Callable[[int], Scene]:
-    """Twisted by 3 turns in 6 s in water, one end free to slide; naturally curved by 0.1 /m.
-
-    It buckles at 4 s and is drawn into a loop at 4.6 s, with Wr at 0.7; without contact its strands
-    pass through each other soon after, on coarse grids before 4.8 s.
-    """
-    axis = (0.0, 0.0, 1.0)
-    turn = Turn(axis, PiecewiseLinear([0.0, 6.0, 1000.0], -2 * np.pi * np.array([0.0, 3.0, 3.0])))
-
-    def build(elements):
-        rod = straight_rod(1.0, elements, _circular(compliant), natural_curvature=(0.1, 0.0, 0.0))
-        drag = MorisonDrag(1000.0, normal_coefficient=0.1, tangential_coefficient=0.01)
-        return Scene(rod, Clamped(rotation=turn), Slider(axis), (drag,))
-
-    return build
+def as_peers(name: str, compliant: bool) -> Callable[[int], Scene]:
+    """A problem that `peers.py` states for every code."""
+    return lambda elements: peers.rodjax_scene(peers.PROBLEMS[name], elements, extensible=compliant)
 
 
 def bend(compliant: bool) -> Callable[[int], Scene]:
-    """The 45-degree bend of Bathe & Bolourchi (1979), tip load 600 normal to its plane."""
-    radius = 100.0
-    stiffness, area = 1e7 / 12, 1.0
-    shear = 1 / (SHEAR_FACTOR * 5e6 * area)
+    """The 45-degree bend of Bathe & Bolourchi (1979), a tip load normal to its plane."""
+    stated = peers.PROBLEMS["bend"]
+    stretch = 1 / stated.stretch_stiffness
+    shear = 2.5 * stretch / peers.SHEAR_FACTOR  # E/G = 2.5
     section = Section(
-        stiffness=(stiffness, stiffness, stiffness),
-        compliance=(shear, shear, 1 / (1e7 * area)) if compliant else None,
+        stiffness=(stated.bend_stiffness,) * 3,
+        compliance=(shear, shear, stretch) if compliant else None,
         mass=1.0,  # of no influence: at rest
     )
 
     def curve(s):
-        angle = s / radius
-        return np.array([radius * np.sin(angle), radius * (1 - np.cos(angle)), 0.0])
+        angle = s / stated.radius
+        return stated.radius * np.array([np.sin(angle), 1 - np.cos(angle), 0.0])
 
     def build(elements):
-        rod = curved_rod(curve, radius * np.pi / 4, elements, section)
-        return Scene(rod, Clamped(), Free(), (PointLoad(-1, force=Constant([0.0, 0.0, 600.0])),))
+        rod = curved_rod(curve, stated.radius * stated.angle, elements, section)
+        load = PointLoad(-1, force=Constant([0.0, 0.0, stated.load]))
+        return Scene(rod, Clamped(), Free(), (load,))
 
     return build
 
@@ -132,7 +105,7 @@ def intertwining(contact: bool) -> Callable[[int], Scene]:
 PROBLEMS = {
     "cantilever": Problem(
         "swinging cantilever",
-        cantilever(True),
+        as_peers("cantilever", True),
         until(1.0, 20),
         (20, 40, 80, 160),
         4,
@@ -141,7 +114,7 @@ PROBLEMS = {
     ),
     "cantilever_inextensible": Problem(
         "swinging cantilever, inextensible",
-        cantilever(False),
+        as_peers("cantilever", False),
         until(1.0, 20),
         (20, 40, 80, 160),
         4,
@@ -149,7 +122,7 @@ PROBLEMS = {
     ),
     "buckling": Problem(
         "torsional buckling",
-        buckling(True),
+        as_peers("buckling", True),
         until(4.6, 23),
         (20, 40, 80, 160),
         4,
@@ -159,7 +132,7 @@ PROBLEMS = {
     ),
     "buckling_inextensible": Problem(
         "torsional buckling, inextensible",
-        buckling(False),
+        as_peers("buckling", False),
         until(4.6, 23),
         (20, 40, 80, 160),
         4,

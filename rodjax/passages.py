@@ -9,11 +9,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from rodjax import rotations, topology
+from rodjax import measures, rotations
 from rodjax.compilation import compiled
 from rodjax.scene import Scene, projectors
 from rodjax.state import State
-from rodjax.strains import element_quaternions
 
 # A passage changes Lk by 2, rounding by far less; so far may it be off [turns].
 _ALLOWED = 1.0
@@ -25,12 +24,7 @@ _SIDE_BY_SIDE = -0.99
 @compiled
 def linking_number(state: State) -> Float[Array, ""]:
     """Lk = Tw + Wr of a state, extended straight at both ends [turns]."""
-    return topology.linking_number(
-        state.position,
-        element_quaternions(state.quaternion),
-        start_frame=state.quaternion[0],
-        end_frame=state.quaternion[-1],
-    )
+    return measures.twist(state) + measures.writhe(state)
 
 
 def passed_unseen(scene: Scene, before: State, after: State) -> bool:
