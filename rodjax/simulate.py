@@ -103,7 +103,7 @@ def rollout(
             f"save_every: {save_every} does not divide the {times.shape[0]} steps of `times`"
         )
     if not _is_traced(scene, state, times):
-        _check_times(scene, state, times)
+        check_times(scene, state, times)
         method.check_precision(state.position.dtype)
     run = _rollout(scene, state, times, method, save_every)
     if throw:
@@ -116,7 +116,7 @@ def rollout(
     return run
 
 
-def _check_times(scene, state, times):
+def check_times(scene, state, times):
     given = np.asarray(times)
     steps = np.diff(np.concatenate([[float(state.time)], given]))
     if not np.all(np.isfinite(given)) or np.any(steps <= 0):
@@ -132,7 +132,7 @@ def _check_times(scene, state, times):
             )
 
 
-def _onto_switches(scene, start, times):
+def onto_switches(scene, start, times):
     """The times, those within rounding of a switch exactly on it."""
     steps = jnp.diff(times, prepend=start)
     for switch in scene.switch_times:
@@ -166,7 +166,7 @@ def _rollout(scene, state, times, method, save_every):
         carry, infos = lax.scan(again(one), carry, stops)
         return carry, (carry[0], infos)
 
-    times = _onto_switches(scene, state.time, times)
+    times = onto_switches(scene, state.time, times)
     start = (state, jnp.asarray(0, jnp.int32))
     (_, code), (states, infos) = lax.scan(block, start, times.reshape(-1, save_every))
     states = jax.tree.map(lambda first, rest: jnp.concatenate([first[None], rest]), state, states)
