@@ -47,7 +47,7 @@ from jaxtyping import Array, Float, Int
 from rodjax import contact_forces, ends, newton, results, rotations
 from rodjax.compilation import compiled
 from rodjax.loads import Gravity, LinearDrag, MorisonDrag
-from rodjax.paper_equations import Fields, PaperEquations
+from rodjax.paper_equations import Fields, PaperEquations, weights
 from rodjax.paper_solvers import AbstractSolver, BlockSolve
 from rodjax.results import Result, join
 from rodjax.rod import Rod
@@ -64,15 +64,17 @@ class PaperScheme(eqx.Module):
 
     Args:
         rho_time, rho_space: spectral radii in [0, 1] of the two generalised-alpha methods (the
-            paper does not say which it used): 1 damps nothing, 0 most. Below 1 in time, so that
-            errors of the start die out.
+            paper does not say which it used): 1 damps nothing, 0 most. Below 1 in time, errors of
+            the start die out. Along s, 1 is the box scheme, the only one stable for all steps:
+            below, the scheme damps towards s = L whichever way a wave runs, so those that come
+            back grow, once dt resolves them (`experiments/paper_scheme.py` shows where).
         tolerance: predicted error after the last Newton update, in units of `PaperEquations`.
         max_iterations: Newton iterations allowed in a step.
         solver: `BlockSolve()` or, as in the paper, `Shooting()`.
     """
 
     rho_time: Float[Array, ""] = eqx.field(converter=as_float, default=0.5)
-    rho_space: Float[Array, ""] = eqx.field(converter=as_float, default=0.5)
+    rho_space: Float[Array, ""] = eqx.field(converter=as_float, default=1.0)
     tolerance: Float[Array, ""] = eqx.field(converter=as_float, default=1e-9)
     max_iterations: Int[Array, ""] = eqx.field(
         converter=lambda n: jnp.asarray(n, jnp.int32), default=20
@@ -193,6 +195,9 @@ def _configuration(scene: Scene, equations: PaperEquations, value, rate) -> Stat
     edges = rod.length[:, None] * rotations.tangent_director(middle)
     origin = old.position[0] + increment[:3]
     position = origin + jnp.concatenate([jnp.zeros_like(edges[:1]), jnp.cumsum(edges, 0)])
+    # the algorithmic rates stand for an earlier time: carried on to the step's end
+    w = weights(equations.rho_time)
+    rate = rate + (w.alpha_k - w.alpha_m) * (rate - equations.fields.rate)
     acceleration = rotations.rotate(frames, rate[:, :3] + jnp.cross(spin, velocity))
     acceleration = jnp.concatenate([acceleration, rate[:, 3:6]], 1)
     return State(
@@ -216,9 +221,8 @@ def paper_rollout(
 ) -> Run:
     """Step from one given time to the next by the paper's own scheme, as `rollout` does.
 
-    The states of the run are ordinary ones, for measures, energies, topology and plots. Their
-    accelerations are first order in dt (algorithmic rates, as `Fields` says). A time at which
-    a constraint changes must be among `times`; its jolt is left to the scheme's damping.
+    The states of the run are ordinary ones, for measures, energies, topology and plots. A time at
+    which a constraint changes must be among `times`; its jolt is left to the scheme's damping.
 
     Raises:
         ValueError: the scene has what the scheme does not support, or times do not fit.
