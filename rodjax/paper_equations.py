@@ -207,7 +207,10 @@ class PaperEquations(eqx.Module):
         frame = rotations.multiply(state.quaternion[index], rotations.exponential(turn))
         velocity = jnp.concatenate([rotations.rotate(frame, value[:3]), value[3:6]])
         wrench = jnp.concatenate([rotations.rotate(frame, value[9:]), value[6:9]])
-        prescribed = ends.rates(self.scene.ends[index], self.stop, frame)[0]
+        # the mean of both sides: at a corner of a drive the steps then add up to what it prescribes
+        beside = (self.stop - 1e-6 * self.dt, self.stop + 1e-6 * self.dt)
+        both = [ends.rates(self.scene.ends[index], time, frame)[0] for time in beside]
+        prescribed = 0.5 * (both[0] + both[1])
         moving, pulling = self.units[:6], jnp.concatenate([self.units[9:], self.units[6:9]])
         free = wrench / pulling
         return free + projector @ ((velocity - prescribed) / moving - free)
