@@ -109,6 +109,7 @@ def check_scene(scene: Scene) -> None:
 
 def fields_of(scene: Scene, state: State) -> Fields:
     """The fields of a state, its elements' moments and forces interpolated to the nodes."""
+    state = dataclasses.replace(state, settling=None, jerk=None)
     rod, frame = scene.rod, state.quaternion
     kappa = curvature(rod, frame)
     spin = state.angular_velocity
@@ -230,7 +231,6 @@ def paper_rollout(
     """
     method = PaperScheme() if method is None else method
     check_scene(scene)
-    state = dataclasses.replace(state, settling=None, jerk=None)
     times = jnp.asarray(times, state.position.dtype)
     if times.ndim != 1 or times.shape[0] < 1:
         raise ValueError(f"times: give at least one, along one axis; got shape {times.shape}")
@@ -256,6 +256,8 @@ def _paper_rollout(scene, state, times, method):
 
     times = onto_switches(scene, state.time, times)
     zero = jnp.asarray(0, jnp.int32)
-    (_, code), (states, infos) = lax.scan(one, (fields_of(scene, state), zero), times)
-    states = jax.tree.map(lambda first, rest: jnp.concatenate([first[None], rest]), state, states)
+    fields = fields_of(scene, state)
+    (_, code), (states, infos) = lax.scan(one, (fields, zero), times)
+    join = lambda first, rest: jnp.concatenate([first[None], rest])
+    states = jax.tree.map(join, fields.state, states)
     return Run(states, infos, code, zero, zero)

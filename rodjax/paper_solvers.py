@@ -3,10 +3,10 @@
 Both solve the same equations, `Linearized`: 12 of every element between two nodes of 12 unknowns,
 and 6 at each end, and both march from s = 0. Left free by the end there, the solutions form a
 six-dimensional affine set. `Shooting` carries one particular and six homogeneous solutions as
-they are (section 2.3 of the paper): within a step waves look like exp(k s / sqrt 2),
-k = (m / (A (dt/2)^2))^(1/4), so over the rod they grow by exp(k L / sqrt 2) and, once that nears
-1/eps, all digits are lost. `BlockSolve` is the factorisation of the block system: it takes a new
-orthonormal basis of the set at every element and returns by back substitution, so nothing grows.
+they are (section 2.3 of the paper): over the rod they grow by about exp(k L / sqrt 2),
+k = (m / (A (dt/2)^2))^(1/4), and digits are lost as that nears 1/eps. `BlockSolve` is the
+factorisation of the block system: it takes a new orthonormal basis of the set at every element
+and returns by back substitution, so nothing grows.
 """
 
 import abc
@@ -109,9 +109,9 @@ def _rebase(columns, back):
 class Shooting(AbstractSolver):
     """Single shooting: seven marches along s, then six equations at the last end.
 
-    Works while exp(k L / sqrt 2) is well below 1e16 (see above): in a rod of the paper's Table 1
-    with D = 2 mm at dt = 0.1 s (1e6 to 1e7), no longer at 0.01 s. Beyond, Newton's iteration does
-    not converge, and the step says so.
+    Right to round-off where exp(k L / sqrt 2) is far below 1e16 (see above): in a rod of the
+    paper's Table 1 with D = 2 mm at dt = 0.1 s (1e6 to 1e7). Refining dt costs digits, until
+    Newton's iteration, which repairs part of the loss, does not converge (there at 0.005 s, 1e28).
     """
 
     def solve(self, equations: Linearized) -> Float[Array, "nodes 12"]:
