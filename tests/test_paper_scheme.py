@@ -128,7 +128,7 @@ def test_agrees_with_the_default_scheme(last_end):
     assert max(differences[-1].values()) < 1e-3
 
 
-def thin(elements=20, diameter=2e-3):
+def thin(elements, diameter=2e-3):
     """A rod of the paper's materials, shaken and turned at one end, sliding at the other."""
     section = circular_section(diameter, 1.25e7, 5e6, 1500.0)
     rod = straight_rod(1.0, elements, section, direction=(0.0, 1.0, 0.0))
@@ -140,38 +140,40 @@ def thin(elements=20, diameter=2e-3):
 
 
 def test_shooting_equals_the_block_solve_and_breaks_down_as_dt_is_refined():
-    scene = thin()
+    scene = thin(60)
     moving = after(scene, 0.5, 20, PaperScheme())
     gaps = {}
-    for dt in (0.1, 0.03, 1e-3):
+    for dt in (0.1, 0.01, 3e-3):
         block = after(scene, 0.5 + dt, 1, PaperScheme(), moving).value
         stop, one = jnp.asarray(0.5 + dt), jnp.asarray(1)
         shot, code = advance(scene, moving, stop, one, PaperScheme(solver=Shooting()))
         gaps[dt] = relative_difference(shot.value[:, 9:], block[:, 9:]) if code == 0 else code
-    assert gaps[0.1] < 1e-8
-    assert gaps[0.1] < gaps[0.03] < 1e-2  # amplified by e^27 for e^15
-    assert gaps[1e-3] in (Result.NEWTON_FAILED, Result.NON_FINITE)
+    assert gaps[0.1] < 1e-12
+    assert 1e-9 < gaps[0.01] < 1e-4  # the march grows by e^47 for e^15
+    assert gaps[3e-3] in (Result.NEWTON_FAILED, Result.NON_FINITE)
 
 
 def test_example_is_twisted_as_by_the_default_scheme():
-    """Straight and twisted, then buckling; the left end slides and is held from 8 s on."""
+    """Straight and twisted, then bending; the left end slides and is held from 16 s on."""
     preset = dataclasses.replace(
-        example.PRESETS["timeline"], drive=((0.0, 0.0), (4.0, 3.0)), seed_curvature=0.3, hold_at=8.0
+        example.PRESETS["timeline"],
+        drive=((0.0, 0.0), (4.0, 3.0)),
+        seed_curvature=0.3,
+        hold_at=16.0,
     )
     scene = example.scene(preset, 40, contact=False)
-    times = 0.1 * jnp.arange(1, 101)
-    state = start(scene)
+    times, state = 0.1 * jnp.arange(1, 201), start(scene)
     run, other = paper_rollout(scene, state, times), rollout(scene, state, times)
+    # the end s = L has drifted by 14 mm on this grid, which bends by 44 mm
+    assert 0.04 < float(jnp.max(jnp.abs(other.final.position[:, 0])))
+    assert float(jnp.max(jnp.abs(run.states.position - other.states.position))) < 0.02
     found, expected = linking(scene, run), linking(scene, other)
-    amplitude = np.max(np.abs(np.asarray(other.states.position[:, :, 0])), 1)
-    assert amplitude[40] < 0.02 < 0.05 < amplitude[-1]
-    assert np.max(np.asarray(jnp.abs(run.states.position - other.states.position))) < 0.02
     np.testing.assert_allclose(found.twist, expected.twist, atol=0.02)
-    np.testing.assert_allclose(found.twist[:41], 0.75 * times[:41] - 0.075, atol=0.01)
-    assert max(float(stretch_error(scene.rod, run.state(k))) for k in (40, 80, 100)) < 1e-13
+    assert expected.twist[-1] < 3.25  # of 3.32 turns
+    assert max(float(stretch_error(scene.rod, run.state(k))) for k in (40, 160, 200)) < 1e-12
     sliding = np.abs(np.asarray(run.states.velocity[:, -1, 1]))
-    assert np.max(sliding[41:81]) > 1e-3
-    assert np.max(sliding[81:]) < 1e-12
+    assert np.max(sliding[:161]) > 5e-3
+    assert np.max(sliding[161:]) < 1e-12
 
 
 def test_failed_step_is_reported():
