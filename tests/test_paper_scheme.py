@@ -165,7 +165,7 @@ def test_example_is_twisted_as_by_the_default_scheme():
     times, state = 0.1 * jnp.arange(1, 201), start(scene)
     run, other = paper_rollout(scene, state, times), rollout(scene, state, times)
     # the end s = L has drifted by 14 mm on this grid, which bends by 44 mm
-    assert 0.04 < float(jnp.max(jnp.abs(other.final.position[:, 0])))
+    assert float(jnp.max(jnp.abs(other.final.position[:, 0]))) > 0.04
     assert float(jnp.max(jnp.abs(run.states.position - other.states.position))) < 0.02
     found, expected = linking(scene, run), linking(scene, other)
     np.testing.assert_allclose(found.twist, expected.twist, atol=0.02)
