@@ -4,10 +4,10 @@ Both solve the same equations, `Linearized`: 12 of every element between two nod
 and 6 at each end, and both march from s = 0. Left free by the end there, the solutions form a
 six-dimensional affine set. `Shooting` carries one particular and six homogeneous solutions as
 they are (section 2.3 of the paper): over the rod they grow by about exp(k L / sqrt 2),
-k = (m / (A (dt/2)^2))^(1/4), and digits are lost (less on a coarse grid, where n elements let
-them grow by at most (1 + sqrt 2)^n). `BlockSolve` is the
-factorisation of the block system: it takes a new orthonormal basis of the set at every element
-and returns by back substitution, so nothing grows.
+k = (m / (A (dt/2)^2))^(1/4), and digits are lost (less on a coarse grid, where n elements let them
+grow by at most (1 + sqrt 2)^n). `BlockSolve` is the factorisation of the block system: it takes a
+new orthonormal basis of the set at every element and returns by back substitution, so nothing
+grows.
 """
 
 import abc
