@@ -192,7 +192,7 @@ def damping(quick: bool) -> list[dict]:
 
 def plot_orders(found: dict, path: Path) -> None:
     """Differences of refinements of both schemes, and between them."""
-    figure, axes = plt.subplots(1, 3, figsize=(11, 4), sharey=True, layout="constrained")
+    figure, axes = plt.subplots(1, 3, figsize=(11, 5.5), sharey=True, layout="constrained")
     colors = dict(zip(FIELDS, ("C0", "C1", "C2"), strict=True))
     panels = zip(axes, ("dt", "ds"), ("step dt", "element length ds"), strict=False)
     for axis, by, label in panels:
@@ -210,8 +210,11 @@ def plot_orders(found: dict, path: Path) -> None:
         text = f"{FIELDS[k]}: {table['orders'][k]:.2f}"
         axes[2].loglog(table["sizes"], table["differences"][k], "o-", color=color, label=text)
     axes[2].set(xlabel="ds = 25 dt", title="Between the two schemes")
-    for axis in axes:
-        axis.legend(fontsize=7)
+    for axis, table in zip(axes, ("paper, dt", "paper, ds", "between"), strict=True):
+        sizes = found[table]["sizes"]
+        axis.set_xticks(sizes, [f"{size:.3g}" for size in sizes])
+        axis.set_xticks([], minor=True)
+        axis.legend(fontsize=8, loc="upper center", bbox_to_anchor=(0.5, -0.15))
         axis.grid(alpha=0.3)
     figure.savefig(path, dpi=150)
     plt.close(figure)

@@ -113,7 +113,7 @@ class Shooting(AbstractSolver):
     Right to round-off where the growth is far below 1/eps = 5e15 (see above): in a rod of the
     paper's Table 1 with D = 2 mm at dt = 0.1 s, where it is e^15. Refining dt costs digits, which
     Newton's iterations in part restore, until they do not converge: there, with 60 elements, from
-    0.005 s on. Thinner rods need the block solve.
+    0.007 s on. Thinner rods need the block solve.
     """
 
     def solve(self, equations: Linearized) -> Float[Array, "nodes 12"]:

@@ -1,6 +1,7 @@
 """The paper's own scheme against itself (orders, its two solvers) and against the default."""
 
 import dataclasses
+import json
 import sys
 from pathlib import Path
 
@@ -27,6 +28,7 @@ from rodjax.simulate import rollout
 sys.path.insert(0, str(Path(__file__).parents[1] / "experiments"))
 
 import example
+import paper_scheme
 
 DRAG = MorisonDrag(1.0, 2.0, 0.5)
 
@@ -224,3 +226,20 @@ def test_settings_are_checked():
     with pytest.raises(ValueError, match="tolerance: must be positive"):
         PaperScheme(tolerance=0.0)
     assert isinstance(PaperScheme().solver, BlockSolve)
+
+
+@pytest.mark.slow
+def test_experiment_shows_orders_and_where_shooting_ends(tmp_path):
+    assert paper_scheme.main(["--quick", "--out", str(tmp_path)]) == 0
+    names = {"summary.json", "orders.png", "shooting.png"}
+    assert {path.name for path in tmp_path.iterdir()} == names
+    summary = json.loads((tmp_path / "summary.json").read_text())
+    for table in summary["convergence"].values():
+        for order in table["orders"].values():
+            assert order == pytest.approx(2.0, abs=0.1)
+    rows = {row["dt"]: row for row in summary["shooting"]["rows"]}
+    assert all(row["block"] == "SUCCESS" for row in rows.values())
+    assert rows[0.1]["difference"] < 1e-12
+    assert rows[0.003]["shooting"] != "SUCCESS"
+    steps = {(row["dt"], row["rho_space"]): row["steps"] for row in summary["damping"]}
+    assert steps[0.001, 1.0] == 200 > steps[0.001, 0.25]
