@@ -222,7 +222,7 @@ def plot_orders(found: dict, path: Path) -> None:
 
 def plot_shooting(found: dict, path: Path) -> None:
     """Difference of shooting from the block solve against dt."""
-    figure, axis = plt.subplots(figsize=(6, 4), layout="constrained")
+    figure, axis = plt.subplots(figsize=(6, 5), layout="constrained")
     good = [r for r in found["rows"] if r["shooting"] == "SUCCESS"]
     failed = [r["dt"] for r in found["rows"] if r["shooting"] != "SUCCESS"]
     axis.loglog([r["dt"] for r in good], [r["difference"] for r in good], "o-", label="shooting")
@@ -237,7 +237,7 @@ def plot_shooting(found: dict, path: Path) -> None:
         ylabel="difference of f from the block solve",
         title=f"One step, D = {1e3 * found['diameter']:g} mm, {found['elements']} elements",
     )
-    axis.legend()
+    axis.legend(loc="upper center", bbox_to_anchor=(0.5, -0.15))
     axis.grid(alpha=0.3)
     figure.savefig(path, dpi=150)
     plt.close(figure)
