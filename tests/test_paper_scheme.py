@@ -151,7 +151,7 @@ def test_shooting_equals_the_block_solve_and_breaks_down_as_dt_is_refined():
         shot, code = advance(scene, moving, stop, one, PaperScheme(solver=Shooting()))
         gaps[dt] = relative_difference(shot.value[:, 9:], block[:, 9:]) if code == 0 else code
     assert gaps[0.1] < 1e-12
-    assert 1e-9 < gaps[0.01] < 1e-4  # the march grows by e^47 for e^15
+    assert 100 * gaps[0.1] < gaps[0.01] < 1e-4  # the march grows by e^41 for e^15
     assert gaps[3e-3] in (Result.NEWTON_FAILED, Result.NON_FINITE)
 
 
