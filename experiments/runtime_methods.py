@@ -2,7 +2,7 @@
 
 `METHODS` is the registry: a method says with which settings it runs a problem (`cases`, none where
 it cannot) and measures one of them (`measure`). Another integrator is a `Timed` with a job of its
-own: see the place marked in `METHODS`.
+own.
 
 Seconds are those of the warm run alone: the scene built, its consistent start found and the program
 compiled before, the record read off after. CPU seconds are `time.process_time`, all threads;
@@ -32,6 +32,7 @@ from rodjax.consistency import start
 from rodjax.equilibrium import equilibrium, placing
 from rodjax.generalized_alpha import GeneralizedAlpha
 from rodjax.observations import positions_at
+from rodjax.paper_scheme import paper_rollout
 from rodjax.results import Result
 from rodjax.rollout import rollout
 from rodjax.run import Run
@@ -307,8 +308,11 @@ METHODS = dict(
         stiff_cases,
         partial(differential_equation, solver=diffrax.Kvaerno5(), max_steps=2000),
     ),
-    # THE PAPER'S SCHEME GOES HERE: any rollout (scene, state, times) -> Run is
-    # paper=Timed("the paper's scheme", on_kirchhoff_ladder, partial(given_steps, integrate=...)),
+    paper=Timed(
+        "the paper's scheme",
+        on_kirchhoff_ladder,
+        partial(given_steps, integrate=partial(paper_rollout, throw=False)),
+    ),
 )
 
 DEFAULTS = ("fixed", "adaptive", "static")  # what is rodjax's default for a problem
