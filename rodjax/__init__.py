@@ -29,6 +29,8 @@ from rodjax.ends import Slider as Slider
 from rodjax.ends import Switched as Switched
 from rodjax.ends import Turn as Turn
 from rodjax.equilibrium import equilibrium as equilibrium
+from rodjax.equilibrium import placing as placing
+from rodjax.extrapolation import extrapolate as extrapolate
 from rodjax.fit import least_squares as least_squares
 from rodjax.fit import several_starts as several_starts
 from rodjax.fit_results import Fit as Fit
@@ -116,8 +118,10 @@ __all__ = [
     "circular_section",
     "curved_rod",
     "equilibrium",
+    "extrapolate",
     "least_squares",
     "minimize",
+    "placing",
     "positions_at",
     "rollout",
     "several_starts",
