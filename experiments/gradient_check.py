@@ -350,6 +350,8 @@ def main(argv=None) -> int:
     repeats = 3 if options.quick else 5
     values = timed(programs.value, (), repeats)
     gradients = timed(programs.gradient, weights, repeats)
+    print(f"value {statistics.median(values):.2f} s, with gradient"
+          f" {statistics.median(gradients):.2f} s")  # fmt: skip
     rows = compare(programs, marks)
     print(f"\n{'input':<18} {'t [s]':>7} {'writhe':>10} {'reverse':>12} {'forward':>12}"
           f" {'difference':>12} {'modes':>8} {'differ.':>8} {'own err.':>8}")  # fmt: skip
@@ -372,9 +374,7 @@ def main(argv=None) -> int:
         "cost_ratio": statistics.median(gradients) / statistics.median(values),
         "compile_seconds": programs.compile_seconds,
     }
-    if not options.no_memory:
-        short["memory"] = measure_memory(options)
-    summary = short | {
+    more = {
         "preset": preset.name,
         "elements": options.elements,
         "steps": len(times),
@@ -384,8 +384,12 @@ def main(argv=None) -> int:
         "gradient_seconds_all": gradients,
         "derivatives": rows,
     }
-    (options.out / "summary.json").write_text(json.dumps(summary, indent=2) + "\n")
+    write = lambda: (options.out / "summary.json").write_text(json.dumps(short | more, indent=2))
+    write()  # kept, should the memory's long runs be interrupted
     draw(rows, marks, options.out)
+    if not options.no_memory:
+        short["memory"] = measure_memory(options)
+        write()
     print(json.dumps(short))
     return 0
 
