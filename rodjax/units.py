@@ -128,6 +128,7 @@ _TEMPLATES = {
     "Barrier.floor": "1",
     "Penalty.stiffness": "{force}/{length}^3",
     "Penalty.softness": "1",
+    "Penalty.relaxation": "{time}",
     "Linking.time": "{time}",
     "Linking.twist": "turns",
     "Linking.twist_eq15": "turns",

@@ -57,9 +57,10 @@ def test_quick_run_is_right(quick):
     assert set(summary) >= KEYS
     assert (summary["result"], summary["preset"]) == ("SUCCESS", "timeline")
     assert summary["elements"] == 60
-    # 4 turns at 6 s and 0.02 turns/s after that, all of them twist until the rod buckles
-    assert summary["turns_end"] == pytest.approx(4 + 0.02 * 6, rel=1e-12)
-    assert summary["twist_end"] + summary["writhe_end"] == pytest.approx(4.12, abs=1e-9)
+    # 4 turns at 14.2 s, all of them twist until the rod buckles
+    turns = 4 * 12 / 14.2
+    assert summary["turns_end"] == pytest.approx(turns, rel=1e-12)
+    assert summary["twist_end"] + summary["writhe_end"] == pytest.approx(turns, abs=1e-9)
     assert 0 < summary["writhe_end"] < 0.01
     assert summary["twist_eq15_end"] == pytest.approx(summary["twist_end"], abs=1e-4)
     assert summary["linking_error_max"] < 1e-9
@@ -81,7 +82,7 @@ def test_energy_of_the_twisted_rod_is_the_static_one(quick):
     index = int(np.argmin(np.abs(np.asarray(stored.run.times) - 9.0)))
     time = float(stored.run.times[index])
     compliance = float(np.sum(stored.scene.rod.length / stored.scene.rod.stiffness[:, 2]))
-    angle = 2 * np.pi * (4 + 0.02 * (time - 6))
+    angle = 2 * np.pi * 4 * time / 14.2
     expected = angle**2 / (2 * compliance)
     assert float(stored.measures["ledger"].torsion[index]) == pytest.approx(expected, rel=1e-4)
     torque = -stored.measures["reactions"].torque[index, 0, 1]

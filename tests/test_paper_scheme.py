@@ -159,7 +159,9 @@ def test_example_is_twisted_as_by_the_default_scheme():
     """Straight and twisted, then bending; the left end slides and is held from 16 s on."""
     preset = dataclasses.replace(
         example.PRESETS["timeline"],
+        diameter=3e-4,
         drive=((0.0, 0.0), (4.0, 3.0)),
+        rate_after=0.02,
         seed_curvature=0.3,
         hold_at=16.0,
     )
