@@ -20,7 +20,7 @@ from jaxtyping import Array, Float
 from rodjax import rotations
 from rodjax.rod import Rod
 from rodjax.schedules import AbstractSchedule
-from rodjax.validation import as_float, as_float_or_none
+from rodjax.validation import as_float, as_float_or_none, check_not_negative
 
 
 class NodeMotion(NamedTuple):
@@ -33,17 +33,12 @@ class NodeMotion(NamedTuple):
     angular_velocity: Float[Array, "nodes 3"]  # body components
 
 
-def _check_not_negative(**values):
+def _check_coefficients(**values):
     """One finite number >= 0 each (or None)."""
     for name, value in values.items():
-        if not hasattr(value, "shape"):
-            continue
-        if value.shape != ():
+        if hasattr(value, "shape") and value.shape != ():
             raise ValueError(f"{name}: must be one number, got shape {value.shape}")
-        if not isinstance(value, jax.core.Tracer) and not (
-            np.isfinite(value) and np.asarray(value) >= 0
-        ):
-            raise ValueError(f"{name}: must be finite and not negative, got {value}")
+    check_not_negative(**values)
 
 
 def _check_vector(**values):
@@ -98,7 +93,7 @@ class Gravity(AbstractLoad):
 
     def __check_init__(self):
         _check_vector(acceleration=self.acceleration)
-        _check_not_negative(fluid_density=self.fluid_density)
+        _check_coefficients(fluid_density=self.fluid_density)
 
     def check(self, rod):
         _need(rod, "mass", "Gravity")
@@ -136,7 +131,7 @@ class MorisonDrag(AbstractLoad):
     )
 
     def __check_init__(self):
-        _check_not_negative(
+        _check_coefficients(
             fluid_density=self.fluid_density,
             normal_coefficient=self.normal_coefficient,
             tangential_coefficient=self.tangential_coefficient,
@@ -191,7 +186,7 @@ class LinearDrag(AbstractLoad):
     rotational: Float[Array, ""] = eqx.field(converter=as_float, default=0.0)
 
     def __check_init__(self):
-        _check_not_negative(
+        _check_coefficients(
             normal=self.normal, tangential=self.tangential, rotational=self.rotational
         )
 
