@@ -127,13 +127,16 @@ def penalty(elements: int) -> Contact:
     """
     width = np.sqrt(2 * PRESET.diameter * DEPTH)
     stiffness = 1.5 * SPRING / (example.LENGTH / 100 * width)
+    cutoff, aperture, segments = 1.2 * PRESET.diameter, 2 * np.pi / 3, 2 * elements
+    reach = cutoff * np.sin(aperture / 2) / (example.LENGTH / segments)
     return Contact(
         Penalty(stiffness, softness=SOFTNESS, relaxation=DASHPOT / SPRING),
-        segments=2 * elements,
+        segments=segments,
         points_per_segment=5,
-        cutoff=1.2 * PRESET.diameter,
+        cutoff=cutoff,
         edge=0.1,
-        aperture=2 * np.pi / 3,
+        aperture=aperture,
+        pairs_per_segment=max(4, int(np.ceil(reach)) + 1),
     )
 
 

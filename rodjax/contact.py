@@ -119,9 +119,29 @@ class Contact(eqx.Module):
         # each size costs compile time: none that nearly is all joints
         return (*[size for size in sizes if size < 0.7 * joints], joints)
 
-    def pair_capacity(self, joints: int) -> int:
-        """Length of the list of near pairs that goes with a number of joints."""
-        return self.pairs_per_segment * joints
+
+class Level(NamedTuple):
+    """What a solver of Newton's system is compiled for. Static numbers."""
+
+    joints: int  # in contact, at most
+    pairs: int  # of segments in the list
+    nodes: int | None  # between which the joints lie; None: of no use, joints are fewer
+
+
+def levels(contact: Contact, elements: int) -> tuple[Level, ...]:
+    """The sizes of `Contact` on a grid.
+
+    Contact couples the joints that it touches, or the nodes between which these lie, whichever
+    are fewer. Of nodes a stretch of joints has its share of the grid and up to four more.
+    """
+    finer = contact.segments > elements
+
+    def level(joints):
+        share = -(-joints * elements // contact.segments) + 16
+        nodes = min(elements + 1, share) if finer else None
+        return Level(joints, contact.pairs_per_segment * joints, nodes)
+
+    return tuple(map(level, contact.sizes))
 
 
 def contact_reach(contact: Contact) -> Float[Array, ""]:
@@ -132,8 +152,8 @@ def contact_reach(contact: Contact) -> Float[Array, ""]:
 class Sites(NamedTuple):
     """Where joints and points lie on the grid."""
 
-    element: Int[Array, " j"]  # that holds a joint
-    weight: Float[Array, " j"]  # of the element's second node
+    nodes: Int[Array, "j k"]  # between which a joint is interpolated, k = 4 or all of them
+    weight: Float[Array, "j k"]  # of each
     arc_length: Float[Array, "g p"]  # of the points of every segment
     spacing: Float[Array, ""]  # of the points
     diameter: Float[Array, "g p"]
@@ -141,35 +161,46 @@ class Sites(NamedTuple):
 
 
 def sites(contact: Contact, rod: Rod) -> Sites:
-    """Joints at equal arcs, points at the middles of equal parts of every segment."""
+    """Joints at equal arcs, points at the middles of equal parts of every segment.
+
+    Joints lie on the cubic through the four nodes nearest to them: on the elements' chords they
+    would be off by kappa l^2/8, which in a tight loop is as much as a strand gives way.
+    """
     total = jnp.sum(rod.length)
     spacing = total / (contact.segments * contact.points_per_segment)
     nodes = rod.arc_length
 
-    def place(s):
+    def element(s):
         # comparing with all nodes compiles far faster than a binary search, and is done once a step
         place = jnp.searchsorted(nodes, s, side="right", method="compare_all")
-        element = jnp.clip(place - 1, 0, rod.elements - 1)
-        return element, (s - nodes[element]) / rod.length[element]
+        return jnp.clip(place - 1, 0, rod.elements - 1)
 
-    joints = place(total / contact.segments * jnp.arange(contact.segments + 1))
+    joints = total / contact.segments * jnp.arange(contact.segments + 1)
+    stencil = min(4, rod.elements + 1)
+    first = jnp.clip(element(joints) - 1, 0, rod.elements + 1 - stencil)
+    chosen = first[:, None] + jnp.arange(stencil)
     index = jnp.arange(contact.segments * contact.points_per_segment)
     s = ((index + 0.5) * spacing).reshape(contact.segments, contact.points_per_segment)
-    element, _ = place(s)
-    mass = None if rod.mass is None else rod.mass[element]
+    at = element(s)
+    mass = None if rod.mass is None else rod.mass[at]
     assert rod.diameter is not None
-    return Sites(*joints, s, spacing, rod.diameter[element], mass)
+    weight = _lagrange(nodes[chosen], joints[:, None])
+    return Sites(chosen, weight, s, spacing, rod.diameter[at], mass)
 
 
-def interpolate(where: Sites, nodal: Float[Array, "nodes k"]) -> Float[Array, "j k"]:
+def _lagrange(nodes: Float[Array, "j k"], s: Float[Array, "j 1"]) -> Float[Array, "j k"]:
+    """Weights at s of the values at the nodes, for the polynomial through them."""
+    own = jnp.eye(nodes.shape[1], dtype=bool)
+    apart = jnp.where(own, 1.0, nodes[:, :, None] - nodes[:, None, :])
+    return jnp.prod(jnp.where(own, 1.0, (s - nodes)[:, None, :] / apart), 2)
+
+
+def interpolate(where: Sites, nodal: Float[Array, "nodes c"]) -> Float[Array, "j c"]:
     """Values at the joints."""
-    weight = where.weight[:, None]
-    return (1 - weight) * nodal[where.element] + weight * nodal[where.element + 1]
+    return jnp.sum(where.weight[:, :, None] * nodal[where.nodes], 1)
 
 
-def spread(where: Sites, values: Float[Array, "j k"], nodes: int) -> Float[Array, "nodes k"]:
+def spread(where: Sites, values: Float[Array, "j c"], nodes: int) -> Float[Array, "nodes c"]:
     """The transpose of `interpolate`: forces on joints to forces on nodes."""
-    weight = where.weight[:, None]
     out = jnp.zeros((nodes, values.shape[1]), values.dtype)
-    out = out.at[where.element].add((1 - weight) * values)
-    return out.at[where.element + 1].add(weight * values)
+    return out.at[where.nodes].add(where.weight[:, :, None] * values[:, None, :])

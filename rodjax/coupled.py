@@ -3,7 +3,8 @@
 The matrix is A + L K R^T: A block tridiagonal, K the sum of the pairs' derivatives over the
 joints in contact (3m x 3m), R^T reads the displacements of those joints, L puts forces on them
 into the force balances. Eliminating A leaves a dense system of 3m unknowns (Woodbury's identity
-in the form that needs no inverse of K).
+in the form that needs no inverse of K). Where the grid is coarser than the contact's segments, the
+nodes between which the joints lie take the joints' place: they are fewer.
 """
 
 from typing import NamedTuple
@@ -16,7 +17,7 @@ from jaxtyping import Array, Float
 from rodjax.balance import Scales
 from rodjax.batching import one_by_one
 from rodjax.block_tridiagonal import BlockTridiagonal, Factors
-from rodjax.contact import Sites, interpolate, sites, spread
+from rodjax.contact import Level, Sites, interpolate, levels, sites, spread
 from rodjax.contact_forces import forces_and_derivative, gather, joints_of
 from rodjax.loads import NodeMotion
 from rodjax.scene import Scene
@@ -45,51 +46,59 @@ class Coupling(eqx.Module):
     derivative: Float[Array, "q 4 4 3 3"]  # of minus the force by the joints, scaled
     left: Float[Array, "nodes 9 3"]  # where a force on a node enters its block row
     right: Float[Array, "nodes 9 3"]  # where a node's displacement stands in its block column
-    sizes: tuple[int, ...] = eqx.field(static=True)  # numbers of joints with a solver
-    pairs: tuple[int, ...] = eqx.field(static=True)  # and of pairs that go with them
+    levels: tuple[Level, ...] = eqx.field(static=True)  # sizes with a solver
 
     def transpose(self) -> "Coupling":
         """The coupling of the transposed matrix."""
         swapped = jnp.transpose(self.derivative, (0, 2, 1, 4, 3))
-        return Coupling(
-            self.where, self.near, swapped, self.right, self.left, self.sizes, self.pairs
-        )
+        return Coupling(self.where, self.near, swapped, self.right, self.left, self.levels)
 
-    def matrix(self, level: int) -> Float[Array, "k k"]:
-        """K of the joints in contact, for one of the sizes."""
-        size, pairs = self.sizes[level], self.pairs[level]
-        rank = jnp.stack([self.near.rank[joint[:pairs]] for joint in joints_of(self.near)], 1)
+    def matrix(self, level: Level) -> Float[Array, "k k"]:
+        """K of the joints in contact, or of their nodes."""
+        size = level.joints
+        rank = jnp.stack([self.near.rank[joint[: level.pairs]] for joint in joints_of(self.near)], 1)
         place = 3 * rank[:, :, None] + jnp.arange(3)
         index = (place[:, :, None, :, None], place[:, None, :, None, :])
         empty = jnp.zeros((3 * size, 3 * size), self.derivative.dtype)
-        return empty.at[index].add(self.derivative[:pairs], mode="drop")
+        matrix = empty.at[index].add(self.derivative[: level.pairs], mode="drop")
+        if level.nodes is None:
+            return matrix
+        weight = self.weights(size)[self.near.nodes[: level.nodes]]
+        matrix = jnp.einsum("na,aibj,mb->nimj", weight, matrix.reshape(size, 3, size, 3), weight)
+        return matrix.reshape(3 * level.nodes, 3 * level.nodes)
 
     def weights(self, size: int) -> Float[Array, "nodes m"]:
-        """Interpolation weights of the joints in contact at the nodes."""
+        """Interpolation weights of the first joints, those in contact among them, at the nodes."""
         chosen = self.near.order[:size]
-        element, weight = self.where.element[chosen], self.where.weight[chosen]
-        node = jnp.arange(self.left.shape[0])[:, None]
-        return (node == element) * (1 - weight) + (node == element + 1) * weight
+        node = jnp.arange(self.left.shape[0])[:, None, None]
+        at = node == self.where.nodes[chosen]
+        return jnp.sum(jnp.where(at, self.where.weight[chosen], 0.0), 2)
 
-    def read(self, columns: Float[Array, "nodes 9 c"], size: int) -> Float[Array, "k c"]:
-        """R^T times columns: displacements of the joints in contact."""
-        chosen = self.near.order[:size]
-        element, weight = self.where.element[chosen], self.where.weight[chosen]
-        at = lambda node: jnp.einsum("mrk,mrc->mkc", self.right[node], columns[node])
-        mixed = (1 - weight)[:, None, None] * at(element) + weight[:, None, None] * at(element + 1)
-        return mixed.reshape(3 * size, -1)
+    def places(self, level: Level) -> Float[Array, "nodes m"]:
+        """Weights at the nodes of what K couples: joints, or the nodes themselves."""
+        if level.nodes is None:
+            return self.weights(level.joints)
+        chosen = jnp.arange(self.left.shape[0])[:, None] == self.near.nodes[: level.nodes]
+        return chosen.astype(self.left.dtype)
+
+    def read(self, columns: Float[Array, "nodes 9 c"], level: Level) -> Float[Array, "k c"]:
+        """R^T times columns: displacements of the joints in contact, or of their nodes."""
+        nodal = jnp.einsum("nrk,nrc->nkc", self.right, columns)
+        if level.nodes is None:
+            chosen = self.near.order[: level.joints]
+            at, weight = self.where.nodes[chosen], self.where.weight[chosen]
+            found = jnp.einsum("mj,mjkc->mkc", weight, nodal[at])
+        else:
+            found = nodal[self.near.nodes[: level.nodes]]
+        return found.reshape(-1, columns.shape[2])
 
     def multiply(self, b: Float[Array, "nodes 9"]) -> Float[Array, "nodes 9"]:
         """L K R^T b, pair by pair."""
-        nodal = jnp.einsum("jrk,jr->jk", self.right, b)
-        element, weight = self.where.element, self.where.weight[:, None]
-        moved = (1 - weight) * nodal[element] + weight * nodal[element + 1]
+        moved = interpolate(self.where, jnp.einsum("jrk,jr->jk", self.right, b))
         index = jnp.stack(joints_of(self.near), 1)
         force = jnp.einsum("qijkl,qjl->qik", self.derivative, moved[index])
-        force = gather(self.near, force, element.shape[0])
-        nodal = jnp.zeros_like(nodal).at[element].add((1 - weight) * force)
-        nodal = nodal.at[element + 1].add(weight * force)
-        return jnp.einsum("jrk,jk->jr", self.left, nodal)
+        force = gather(self.near, force, moved.shape[0])
+        return jnp.einsum("jrk,jk->jr", self.left, spread(self.where, force, b.shape[0]))
 
 
 def couple(
@@ -122,8 +131,7 @@ def couple(
         scales.length / scales.force * found.derivative,
         left,
         jnp.broadcast_to(jnp.roll(eye, -3, axis=0), left.shape),
-        contact.sizes,
-        tuple(map(contact.pair_capacity, contact.sizes)),
+        levels(contact, nodes - 1),
     )
     return spread(where, gather(near, found.force, contact.segments + 1), nodes), coupling
 
@@ -167,7 +175,7 @@ def _solve(system: CoupledSystem, b, apart):
     def some(level):
         return lambda b, factors: _solve_coupled(factors, coupling, level, b)
 
-    branches = [some(level) for level in range(len(coupling.sizes))]
+    branches = [some(level) for level in coupling.levels]
 
     def touching(b):
         return lax.switch(coupling.near.level - 1, branches, b, system.blocks.factorize())
@@ -189,15 +197,14 @@ def _solve_columns(factors: Factors, b: Float[Array, "nodes 9"]) -> Float[Array,
     return factors.solve(b[:, :, None])[:, :, 0]
 
 
-def _solve_coupled(factors: Factors, coupling: Coupling, level: int, b):
-    """Solve with m joints in contact: 3m columns through A, then a dense system."""
-    size = coupling.sizes[level]
-    m = 3 * size
-    weights = coupling.weights(size)
+def _solve_coupled(factors: Factors, coupling: Coupling, level: Level, b):
+    """Solve with m joints or nodes in contact: 3m columns through A, then a dense system."""
+    places = coupling.places(level)
+    m = 3 * places.shape[1]
 
     def forward(previous, row):
-        lower, entry, weight = row
-        columns = (entry[:, None, :] * weight[None, :, None]).reshape(9, m)
+        lower, entry, place = row
+        columns = (entry[:, None, :] * place[None, :, None]).reshape(9, m)
         current = columns - lower @ previous
         return current, current
 
@@ -208,11 +215,11 @@ def _solve_coupled(factors: Factors, coupling: Coupling, level: int, b):
 
     zero = jnp.zeros((9, m), b.dtype)
     entries = factors.inverse @ coupling.left
-    _, middle = lax.scan(forward, zero, (factors.lower, entries, weights))
+    _, middle = lax.scan(forward, zero, (factors.lower, entries, places))
     _, columns = lax.scan(backward, zero, (factors.upper, middle), reverse=True)
     matrix = coupling.matrix(level)
-    system = jnp.eye(m, dtype=b.dtype) + coupling.read(columns, size) @ matrix
+    system = jnp.eye(m, dtype=b.dtype) + coupling.read(columns, level) @ matrix
     # b by itself, so that vmap over b leaves the columns alone
     free = _solve_columns(factors, b)
-    displacement = jnp.linalg.solve(system, coupling.read(free[:, :, None], size)[:, 0])
+    displacement = jnp.linalg.solve(system, coupling.read(free[:, :, None], level)[:, 0])
     return free - columns @ (matrix @ displacement)

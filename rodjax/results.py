@@ -11,18 +11,24 @@ class Result(enum.IntEnum):
     """Why a computation ended; the larger code wins when several are joined."""
 
     SUCCESS = 0
-    STEP_TOO_SMALL = 1
-    MAX_STEPS = 2
-    NEWTON_FAILED = 3
-    STRAND_PASSAGE = 4
-    CAPACITY_OVERFLOW = 5
-    ROTATION_TOO_LARGE = 6
-    SWITCH_MISSED = 7
-    NON_FINITE = 8
+    UNRESOLVED = 1
+    STEP_TOO_SMALL = 2
+    MAX_STEPS = 3
+    NEWTON_FAILED = 4
+    STRAND_PASSAGE = 5
+    CAPACITY_OVERFLOW = 6
+    ROTATION_TOO_LARGE = 7
+    SWITCH_MISSED = 8
+    NON_FINITE = 9
 
 
 MESSAGES = {
     Result.SUCCESS: "the computation succeeded",
+    Result.UNRESOLVED: (
+        "the given steps do not resolve the motion: their local errors are of its own size (use"
+        " smaller steps, or the adaptive rollout), or they are so small that velocities drown in"
+        " rounding (use longer steps, or float64)"
+    ),
     Result.STEP_TOO_SMALL: (
         "the step fell below min_step without an acceptable solution; the motion is too fast or the"
         " contact too stiff for the grid: use more elements, a softer law, or a smaller min_step"

@@ -11,7 +11,7 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Float
 
-from rodjax import newton, passages, results
+from rodjax import newton, passages, resolution, results
 from rodjax.compilation import compiled
 from rodjax.generalized_alpha import GeneralizedAlpha
 from rodjax.results import Result
@@ -43,8 +43,9 @@ def rollout(
             exact).
         save_every: store every so many steps; the number of steps must be a multiple.
         throw: raise `SimulationError` if a step fails. Either way the motion up to the failure
-            is in the result (the states after it repeat the last good one; a passage that only
-            the linking number of the last state shows is reported with all states).
+            is in the result (the states after it repeat the last good one; what shows only when
+            the run has ended, a passage by its linking number or steps that do not resolve the
+            motion, is reported with all states).
 
     Differentiable in every array of scene, state, times and method, in forward and reverse mode;
     the reverse pass keeps of every step Newton's solution, of every `save_every` steps the state,
@@ -137,5 +138,8 @@ def _rollout(scene, state, times, method, save_every):
     (_, code), (states, infos) = lax.scan(block, start, times.reshape(-1, save_every))
     states = jax.tree.map(lambda first, rest: jnp.concatenate([first[None], rest]), state, states)
     infos = jax.tree.map(lambda leaf: leaf.reshape((-1, *leaf.shape[2:])), infos)
+    unresolved = resolution.unresolved(scene, states, infos, jnp.diff(times, prepend=start[0].time))
+    code = jnp.where((code == Result.SUCCESS) & unresolved, Result.UNRESOLVED, code)
+    code = code.astype(jnp.int32)
     zero = jnp.asarray(0, jnp.int32)
     return Run(states, infos, code, zero, zero)

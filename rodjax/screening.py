@@ -11,21 +11,22 @@ from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
 from rodjax.batching import largest
-from rodjax.contact import Contact, Sites, interpolate
+from rodjax.contact import Contact, Sites, interpolate, levels
 from rodjax.contact_laws import PairProperties
 
 BLOCK = 32  # pairs that are evaluated together
 
 
 class Near(NamedTuple):
-    """Outcome of the search: pairs of segments, and the joints that they involve."""
+    """Outcome of the search: pairs of segments, the joints they involve and these joints' nodes."""
 
     first: Int[Array, " q"]  # segment nearer to s = 0; beyond `count` meaningless but valid
     second: Int[Array, " q"]
     count: Int[Array, ""]  # pairs in the list
     order: Int[Array, " j"]  # all joints, those involved first
     rank: Int[Array, " j"]  # place of each joint in `order`
-    level: Int[Array, ""]  # 0: no pair; k: the k-th size of `Contact.sizes` holds them
+    nodes: Int[Array, " nodes"]  # all nodes, those between which joints involved lie first
+    level: Int[Array, ""]  # 0: no pair; k: the k-th of `contact.levels` holds them
     overflow: Bool[Array, ""]  # pairs or joints were left out
 
 
@@ -80,7 +81,8 @@ def search(
     near = near & (jnp.abs(s[:, None] - s[None, :]) + 2 * half >= contact.excluded)
     near = near & inside([chord[:, None, k] for k in range(3)])
     near = near & inside([chord[None, :, k] for k in range(3)])
-    capacity = contact.pair_capacity(contact.sizes[-1])
+    sizes = levels(contact, position.shape[0] - 1)
+    capacity = sizes[-1].pairs
 
     def pick(near):
         first, second = jnp.nonzero(near, size=capacity, fill_value=0)
@@ -93,17 +95,30 @@ def search(
     segments = jnp.any(near, 0) | jnp.any(near, 1)
     involved = jnp.zeros((contact.segments + 1,), bool).at[:-1].set(segments)
     involved = involved | jnp.roll(involved, 1)
-    joints = jnp.sum(involved)
-    before = jnp.cumsum(involved) - involved
-    index = jnp.arange(contact.segments + 1)
-    rank = jnp.where(involved, before, joints + index - before).astype(jnp.int32)
-    order = jnp.zeros_like(rank).at[rank].set(index.astype(jnp.int32))
-    sizes = jnp.asarray(contact.sizes)
-    fits = (joints <= sizes) & (count <= jnp.asarray([*map(contact.pair_capacity, contact.sizes)]))
+    order, rank, joints = _first(involved)
+    between = jnp.zeros(position.shape[:1], jnp.int32).at[where.nodes]
+    nodes, _, count_nodes = _first(between.add(involved[:, None] & (where.weight != 0)) > 0)
+    fits = jnp.stack(
+        [
+            (joints <= size.joints)
+            & (count <= size.pairs)
+            & (True if size.nodes is None else count_nodes <= size.nodes)
+            for size in sizes
+        ]
+    )
     overflow = ~fits[-1]
-    level = jnp.where(overflow, len(contact.sizes), jnp.argmax(fits) + 1)
+    level = jnp.where(overflow, len(sizes), jnp.argmax(fits) + 1)
     level = jnp.where(count == 0, 0, level).astype(jnp.int32)
-    return Near(first, second, jnp.minimum(count, capacity), order, rank, level, overflow)
+    return Near(first, second, jnp.minimum(count, capacity), order, rank, nodes, level, overflow)
+
+
+def _first(chosen: Bool[Array, " k"]) -> tuple[Int[Array, " k"], Int[Array, " k"], Int[Array, ""]]:
+    """All indices, the chosen ones first; the place of each; how many are chosen."""
+    count = jnp.sum(chosen)
+    index = jnp.arange(chosen.shape[0])
+    before = jnp.cumsum(chosen) - chosen
+    place = jnp.where(chosen, before, count + index - before).astype(jnp.int32)
+    return jnp.zeros_like(place).at[place].set(index.astype(jnp.int32)), place, count
 
 
 def approach_limit(
