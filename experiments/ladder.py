@@ -180,7 +180,7 @@ class _Held(eqx.Module):
     def __getattr__(self, name):
         return getattr(self.equations, name)
 
-    def newton_increment(self, x):
+    def newton_increment(self, x, needed=True):
         return self.equations.linearize(self.guess).solve(-self.equations.residual(x))
 
 

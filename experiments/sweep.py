@@ -29,6 +29,7 @@ from tqdm import tqdm
 
 import rodjax as rx
 from rodjax import measures
+from rodjax.compilation import compiled
 from rodjax.sweep import sweep
 
 PRESET = PRESETS["timeline"]
@@ -46,7 +47,7 @@ def arguments(argv=None) -> argparse.Namespace:
     parser.add_argument("--elements", type=int, metavar="N", help="default 100 (10 with --quick)")
     parser.add_argument("--devices", type=int, default=1, metavar="K", help="of the CPU")
     parser.add_argument("--per-device", type=int, metavar="B", help="scenes at once; 1 (2)")
-    parser.add_argument("--compare", action="store_true", help="time one scene alone as well")
+    parser.add_argument("--compare", action="store_true", help="time scenes alone as well")
     parser.add_argument("--coordinator", metavar="HOST:PORT", help="of several processes")
     parser.add_argument("--processes", type=int, default=1, metavar="P")
     parser.add_argument("--process", type=int, default=0, metavar="I")
@@ -106,6 +107,22 @@ def merged(runs: list[np.ndarray], until: float, marks: list[float]) -> np.ndarr
 def _step_at(times, now):
     i = int(np.clip(np.searchsorted(times, now, side="right") - 1, 0, len(times) - 2))
     return times[i + 1] - times[i]
+
+
+def alone_seconds(one, parameters, first: int) -> float:
+    """Mean seconds of a scene by itself, of every fifth from the given one on.
+
+    Scenes differ: those that intertwine early cost several times those that never touch.
+    """
+    program = compiled(one)
+    pick = lambda i: {name: jnp.asarray(values[i]) for name, values in parameters.items()}
+    jax.block_until_ready(program(pick(first)))
+    times = []
+    for i in range(first, len(parameters["twist"]), 5):
+        began = time.perf_counter()
+        jax.block_until_ready(program(pick(i)))
+        times.append(time.perf_counter() - began)
+    return float(np.mean(times))
 
 
 def draw(found, out: Path) -> None:
@@ -183,16 +200,10 @@ def main(argv=None) -> int:
     bar.close()
     if options.process != 0:
         return 0
-    warm = [(s, n) for s, n in seconds[1:] if n == options.per_device * options.devices]
-    each = float(np.median([s / n for s, n in warm])) if warm else None
-    alone = None
-    if options.compare:
-        program = jax.jit(one)
-        middle = {name: np.asarray(1.0) for name in FACTORS}
-        jax.block_until_ready(program(middle))
-        began = time.perf_counter()
-        jax.block_until_ready(program(middle))
-        alone = time.perf_counter() - began
+    first = seconds[0][1]  # scenes of the round that compiled
+    warm = seconds[1:]
+    each = sum(s for s, _ in warm) / sum(n for _, n in warm) if warm else None
+    alone = alone_seconds(one, parameters, first) if options.compare and warm else None
     failed = int(np.sum(found["result"] != 0))
     summary = {
         "elements": options.elements,
@@ -213,8 +224,9 @@ def main(argv=None) -> int:
     }
     (options.out / "summary.json").write_text(json.dumps(summary, indent=2) + "\n")
     draw(found, options.out)
-    print(f"{len(grid)} scenes, {failed} failed, {len(steps)} steps; a scene takes {each} s in its"
-          f" batch, {alone} s alone")  # fmt: skip
+    text = lambda value: "-" if value is None else f"{value:.2f} s"
+    print(f"{len(grid)} scenes, {failed} failed, {len(steps)} steps; a scene takes {text(each)} in"
+          f" its batch, {text(alone)} alone (mean of every fifth)")  # fmt: skip
     return 0
 
 

@@ -3,7 +3,7 @@
 There a `cond` whose predicate differs from lane to lane runs both branches, and a loop whose length
 differs copies what it carries in every pass. Small loops share the largest of their counts
 (`largest`); the costly parts of contact are done one lane after the other (`one_by_one`), each in
-its own time and in cache.
+its own time and in cache, unless no lane is in contact.
 """
 
 from collections.abc import Callable
@@ -25,11 +25,15 @@ def _largest_of_batch(axis_size, in_batched, count):
     return (jnp.max(count), False) if in_batched[0] else (count, False)
 
 
-def one_by_one(function: Callable) -> Callable:
+def one_by_one(function: Callable, easy: tuple[Callable, Callable] | None = None) -> Callable:
     """A function of pytrees whose lanes are mapped in turn where its FIRST argument is batched.
 
     Where only the others are (several right sides of one system) they are mapped together as usual,
     which leaves what depends on the first alone to be done once.
+
+    Args:
+        easy: (holds, together), both of the function's arguments. If `holds` in every lane, they
+            are mapped together by `together`, which then gives the same.
     """
     inner = jax.custom_batching.custom_vmap(function)
 
@@ -39,20 +43,32 @@ def one_by_one(function: Callable) -> Callable:
         if not any(jax.tree.leaves(in_batched[0])):
             # wrapped again for a `vmap` further out
             out = one_by_one(jax.vmap(function, axes))(*arguments)
+        elif easy is None:
+            out = _in_turn(inner, in_batched, arguments)
         else:
-            leaves, structure = jax.tree.flatten(arguments)
-            mapped = jax.tree.leaves(in_batched)
-            lanes = [leaf for leaf, batched in zip(leaves, mapped, strict=True) if batched]
-
-            def one(lane):
-                rest = iter(lane)
-                whole = [
-                    next(rest) if batched else leaf
-                    for leaf, batched in zip(leaves, mapped, strict=True)
-                ]
-                return inner(*structure.unflatten(whole))
-
-            out = lax.map(one, lanes)
+            holds, together = (jax.vmap(part, axes) for part in easy)
+            out = lax.cond(
+                jnp.all(holds(*arguments)),
+                lambda arguments: together(*arguments),
+                lambda arguments: _in_turn(inner, in_batched, arguments),
+                arguments,
+            )
         return out, jax.tree.map(lambda _: True, out)
 
     return inner
+
+
+def _in_turn(function, in_batched, arguments):
+    """The function of one lane after the other."""
+    leaves, structure = jax.tree.flatten(arguments)
+    mapped = jax.tree.leaves(in_batched)
+    lanes = [leaf for leaf, batched in zip(leaves, mapped, strict=True) if batched]
+
+    def one(lane):
+        rest = iter(lane)
+        whole = [
+            next(rest) if batched else leaf for leaf, batched in zip(leaves, mapped, strict=True)
+        ]
+        return function(*structure.unflatten(whole))
+
+    return lax.map(one, lanes)

@@ -39,12 +39,13 @@ def window(contact: Contact, distance, cosine_a, cosine_b):
 
 
 class PairForces(NamedTuple):
-    """Interaction of a list of pairs of segments; the joints are those of the first, then second.
+    """Interaction of a list of pairs of segments.
 
-    Entries beyond `Near.count` are zero.
+    The four joints of a pair are those of its first, then of its second segment; entries beyond
+    `Near.count` are zero.
     """
 
-    force: Float[Array, "q 4 3"]  # on the four joints of every pair [N]
+    force: Float[Array, "j 3"]  # on the joints [N]
     derivative: Float[Array, "q 4 4 3 3"] | None  # of minus the force, joint by joint [N/m]
     smallest: Float[Array, ""]  # least d/D of the points that act; infinite without one
     total: Float[Array, ""]  # sum of the magnitudes of all forces between points [N]
@@ -68,21 +69,35 @@ def forces_and_derivative(
     return _in_use(joints, contact, where, near, velocities, by_velocity)
 
 
-@one_by_one
-def _in_use(joints, contact, where, near, velocities, by_velocity):
-    evaluate, rows = _blocks(contact, where, near, joints, velocities, by_velocity)
-    shapes = jax.eval_shape(evaluate, jax.tree.map(lambda leaf: leaf[0], rows))
-    force, derivative, ratio, total = jax.tree.map(
-        lambda leaf: jnp.zeros((rows[0].shape[0], *leaf.shape), leaf.dtype), shapes
-    )
+def _pairs_in_use(joints, contact, where, near, velocities, by_velocity) -> PairForces:
+    evaluate, rows, empty = _blocks(contact, where, near, joints, velocities, by_velocity)
 
     def body(i, found):
         now = evaluate(jax.tree.map(lambda leaf: leaf[i], rows))
         return jax.tree.map(lambda buffer, value: buffer.at[i].set(value), found, now)
 
-    used = (near.count + BLOCK - 1) // BLOCK
-    found = lax.fori_loop(0, used, body, (force, derivative, ratio + jnp.inf, total))
-    return _joined(near, found)
+    def some():
+        buffers = jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, (len(rows[0]), *leaf.shape)), empty)
+        used = (near.count + BLOCK - 1) // BLOCK
+        return _joined(near, joints, lax.fori_loop(0, used, body, buffers))
+
+    none = lambda: _no_pairs(joints, contact, where, near, velocities, by_velocity)
+    return lax.cond(near.count > 0, some, none)
+
+
+def _no_pairs(joints, contact, where, near, velocities, by_velocity) -> PairForces:
+    dtype = joints.dtype
+    derivative = jnp.zeros((near.first.shape[0], 4, 4, 3, 3), dtype)
+    return PairForces(
+        jnp.zeros_like(joints), derivative, jnp.asarray(jnp.inf, dtype), jnp.zeros((), dtype)
+    )
+
+
+def _nothing_near(joints, contact, where, near, velocities, by_velocity) -> Bool[Array, ""]:
+    return near.count == 0
+
+
+_in_use = one_by_one(_pairs_in_use, easy=(_nothing_near, _no_pairs))
 
 
 @forces_and_derivative.def_jvp
@@ -110,28 +125,29 @@ def pair_forces(
     the chord l t_a it is n P_a (n - (n.t_a) t_a)^T / l. Blocks of the list that are not in use
     are skipped.
     """
-    evaluate, rows = _blocks(contact, where, near, joints, velocities, by_velocity)
-
-    def skip(row):
-        like = jax.eval_shape(evaluate, row)
-        empty = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), like)
-        return (*empty[:2], empty[2] + jnp.inf, empty[3])
-
+    evaluate, rows, empty = _blocks(contact, where, near, joints, velocities, by_velocity)
     count = largest(near.count)
+    skip = lambda _: empty
     block = lambda _, row: (None, lax.cond(row[0] < count, evaluate, skip, row))
-    return _joined(near, lax.scan(block, None, rows)[1])
+    return _joined(near, joints, lax.scan(block, None, rows)[1])
 
 
-def _joined(near, found) -> PairForces:
-    """The blocks' results as those of the list."""
-    force, derivative, ratio, total = found
+def _joined(near: Near, joints, found: PairForces) -> PairForces:
+    """The blocks' results as those of the list; forces, by blocks those of the pairs, at joints."""
     flat = lambda v: v.reshape(-1, *v.shape[2:])[: near.first.shape[0]]
-    derivative = None if derivative is None else flat(derivative)
-    return PairForces(flat(force), derivative, jnp.min(ratio), jnp.sum(total))
+    return PairForces(
+        gather(near, flat(found.force), joints.shape[0]),
+        None if found.derivative is None else flat(found.derivative),
+        jnp.min(found.smallest),
+        jnp.sum(found.total),
+    )
 
 
 def _blocks(contact, where, near, joints, velocities, by_velocity):
-    """What evaluates a block of pairs, and the blocks: their first places and joints."""
+    """What evaluates a block of pairs; the blocks (first places and joints); an empty one's result.
+
+    Forces are those on the four joints of every pair.
+    """
     count = contact.points_per_segment
     part = (jnp.arange(count) + 0.5) / count
     one, other = jnp.broadcast_arrays(part[:, None], part[None, :])
@@ -201,9 +217,13 @@ def _blocks(contact, where, near, joints, velocities, by_velocity):
             h = -(h + ends)
         force = jnp.einsum("abi,kqab->qik", mix, p * n)
         ratio = jnp.min(jnp.where(p != 0, distance / pair.diameter, jnp.inf))
-        return force, h, ratio, jnp.sum(jnp.abs(p))
+        return PairForces(force, h, ratio, jnp.sum(jnp.abs(p)))
 
-    return evaluate, (jnp.arange(0, padded, BLOCK), index.reshape(-1, BLOCK, 4))
+    rows = jnp.arange(0, padded, BLOCK), index.reshape(-1, BLOCK, 4)
+    zeros = lambda *shape: jnp.zeros(shape, joints.dtype)
+    derivative = None if by_velocity is None else zeros(BLOCK, 4, 4, 3, 3)
+    empty = PairForces(zeros(BLOCK, 4, 3), derivative, zeros() + jnp.inf, zeros())
+    return evaluate, rows, empty
 
 
 def gather(near: Near, force: Float[Array, "q 4 3"], joints: int) -> Float[Array, "j 3"]:
@@ -236,8 +256,7 @@ class ContactReport(NamedTuple):
 def _report(contact, rod, where, near, position, velocity) -> ContactReport:
     joints, velocities = interpolate(where, position), interpolate(where, velocity)
     found = pair_forces(contact, where, near, joints, velocities)
-    summed = gather(near, found.force, contact.segments + 1)
-    nodal = spread(where, summed, rod.elements + 1)
+    nodal = spread(where, found.force, rod.elements + 1)
     return ContactReport(nodal, found.total, found.smallest, near.overflow)
 
 

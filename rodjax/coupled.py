@@ -12,7 +12,7 @@ from typing import NamedTuple
 import equinox as eqx
 import jax.numpy as jnp
 from jax import lax
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from rodjax.balance import Scales
 from rodjax.batching import one_by_one
@@ -29,6 +29,12 @@ class Nearby(NamedTuple):
 
     where: Sites
     near: Near
+
+    def only_if(self, needed: bool | Bool[Array, ""]) -> "Nearby":
+        """No pairs where contact is not needed, which saves the time of it."""
+        none = lambda count: jnp.where(needed, count, 0)
+        near = self.near
+        return self._replace(near=near._replace(count=none(near.count), level=none(near.level)))
 
 
 def find_nearby(scene: Scene, position: Float[Array, "nodes 3"], displacement=None) -> Nearby:
@@ -57,15 +63,14 @@ class Coupling(eqx.Module):
         """K of the joints in contact, or of their nodes."""
         size = level.joints
         rank = jnp.stack([self.near.rank[joint[: level.pairs]] for joint in joints_of(self.near)], 1)
-        place = 3 * rank[:, :, None] + jnp.arange(3)
-        index = (place[:, :, None, :, None], place[:, None, :, None, :])
-        empty = jnp.zeros((3 * size, 3 * size), self.derivative.dtype)
-        matrix = empty.at[index].add(self.derivative[: level.pairs], mode="drop")
-        if level.nodes is None:
-            return matrix
-        weight = self.weights(size)[self.near.nodes[: level.nodes]]
-        matrix = jnp.einsum("na,aibj,mb->nimj", weight, matrix.reshape(size, 3, size, 3), weight)
-        return matrix.reshape(3 * level.nodes, 3 * level.nodes)
+        # scattered by whole blocks, which is faster than by numbers
+        blocks = jnp.zeros((size, size, 3, 3), self.derivative.dtype)
+        index = (rank[:, :, None], rank[:, None, :])
+        blocks = blocks.at[index].add(self.derivative[: level.pairs], mode="drop")
+        if level.nodes is not None:
+            weight = self.weights(size)[self.near.nodes[: level.nodes]]
+            blocks = jnp.einsum("na,abij,mb->nmij", weight, blocks, weight)
+        return jnp.swapaxes(blocks, 1, 2).reshape(3 * blocks.shape[0], -1)
 
     def weights(self, size: int) -> Float[Array, "nodes m"]:
         """Interpolation weights of the first joints, those in contact among them, at the nodes."""
@@ -133,7 +138,7 @@ def couple(
         jnp.broadcast_to(jnp.roll(eye, -3, axis=0), left.shape),
         levels(contact, nodes - 1),
     )
-    return spread(where, gather(near, found.force, contact.segments + 1), nodes), coupling
+    return spread(where, found.force, nodes), coupling
 
 
 class CoupledSystem(eqx.Module):
@@ -180,17 +185,26 @@ def _solve(system: CoupledSystem, b, apart):
     def touching(b):
         return lax.switch(coupling.near.level - 1, branches, b, system.blocks.factorize())
 
-    return lax.cond(coupling.near.level > 0, touching, apart, b)
+    return lax.cond(coupling.near.level > 0, touching, lambda b: apart(system, b), b)
 
 
-@one_by_one
-def _solve_shared(system, b):
-    return _solve(system, b, lambda b: _solve_columns(system.blocks.factorize(), b))
+def _apart(system: CoupledSystem, b):
+    return _solve_columns(system.blocks.factorize(), b)
 
 
-@one_by_one
-def _solve_once(system, b):
-    return _solve(system, b, lambda b: system.blocks.solve(b))  # noqa: PLW0108 (must be hashable)
+def _apart_once(system: CoupledSystem, b):
+    return system.blocks.solve(b)
+
+
+def _not_touching(system: CoupledSystem, b):
+    assert system.coupling is not None
+    return system.coupling.near.level == 0
+
+
+_solve_shared = one_by_one(lambda system, b: _solve(system, b, _apart), (_not_touching, _apart))
+_solve_once = one_by_one(
+    lambda system, b: _solve(system, b, _apart_once), (_not_touching, _apart_once)
+)
 
 
 def _solve_columns(factors: Factors, b: Float[Array, "nodes 9"]) -> Float[Array, "nodes 9"]:

@@ -144,7 +144,7 @@ class StaticEquations(eqx.Module):
             system = AnchoredSystem(system, coupled(held, other))
         return system
 
-    def newton_increment(self, x):
+    def newton_increment(self, x, needed=True):
         """Newton's increment."""
         return self.linearize(x).solve(-self.residual(x))
 

@@ -2,13 +2,15 @@
 
 An equations object has
     residual(x) -> r                                  r = 0 is to be solved,
-    newton_increment(x) -> dx                         minus the derivative's inverse times r,
+    newton_increment(x, needed) -> dx                 minus the derivative's inverse times r,
     linearize(x) -> system                            system.solve(b), system.solve_transpose(b),
                                                       system.multiply(b): the derivative at x,
     retract(x, dx) -> x                               applies the solved increment,
     lift(x, dx) -> d(x)                               the same to first order,
     limit(x, dx) -> scale in (0, 1]                   how much of the increment is safe,
     size(dx) -> scalar                                the increment in units of the tolerance.
+
+`needed` is false in the lanes of a batch that have ended: there any finite dx will do.
 """
 
 from typing import Any, NamedTuple
@@ -52,7 +54,8 @@ def iterate(equations, x, tolerance, max_iterations) -> tuple[Any, NewtonInfo]:
     """
 
     def body(loop: _Loop) -> _Loop:
-        dx = equations.newton_increment(loop.x)
+        # always true, but for lanes that wait for others of their batch
+        dx = equations.newton_increment(loop.x, unfinished(loop))
         scale = equations.limit(loop.x, dx)
         full = equations.size(dx)
         contraction = jnp.where(loop.iterations > 0, full / loop.size, 1.0)

@@ -250,7 +250,7 @@ class PaperEquations(eqx.Module):
             lacking_last,
         )
 
-    def newton_increment(self, x):
+    def newton_increment(self, x, needed=True):
         """Newton's increment of x."""
         return self.solver.solve(self.linearize(x))
 

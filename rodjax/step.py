@@ -181,19 +181,20 @@ class StepEquations(eqx.Module):
         blocks = self._blocks(x, motion, acceleration, increment)
         return CoupledSystem(blocks, self._contact(motion)[1])
 
-    def newton_increment(self, x):
+    def newton_increment(self, x, needed=True):
         """Newton's increment, contact forces and their derivative evaluated once."""
         motion, acceleration, increment = self.motion(x)
         blocks = self._blocks(x, motion, acceleration, increment)
-        push, coupling = self._contact(motion)
+        push, coupling = self._contact(motion, needed)
         residual = self._balance(x, motion, acceleration, increment, push)
         return CoupledSystem(blocks, coupling).solve_once(-residual)
 
-    def _contact(self, motion) -> tuple[Array | None, Coupling | None]:
+    def _contact(self, motion, needed=True) -> tuple[Array | None, Coupling | None]:
         """Contact forces on the nodes [N], and their derivative in the Newton system."""
         both = tuple(projectors(self.scene, self.state.time))
         by_velocity = self.coefficients.by_velocity
-        return couple(self.scene, self.nearby, motion, by_velocity, both, self.scales)
+        nearby = None if self.nearby is None else self.nearby.only_if(needed)
+        return couple(self.scene, nearby, motion, by_velocity, both, self.scales)
 
     def lift(self, x, dx):
         """Increment of x for solved increments, whose rotations are body spins."""

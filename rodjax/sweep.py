@@ -17,6 +17,7 @@ from jax.experimental import multihost_utils
 from jax.sharding import Mesh, PartitionSpec
 from jaxtyping import PyTree
 
+from rodjax.compilation import compiled
 from rodjax.storage import replacing
 
 
@@ -86,7 +87,7 @@ def _on_all_devices(function):
     mapped = jax.shard_map(
         jax.vmap(function), mesh=mesh, in_specs=shares, out_specs=shares, check_vma=False
     )
-    return jax.jit(mapped)
+    return compiled(mapped)
 
 
 def _gathered(value):
