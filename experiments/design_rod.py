@@ -20,14 +20,13 @@ import jax.numpy as jnp
 import matplotlib.pyplot as plt
 import numpy as np
 import optax
-from example import PRESETS, resized, scene
+from example import FIRST_CONTACT, PRESETS, resized, scene
 
 import rodjax as rx
 from rodjax import measures
 
 PRESET = dataclasses.replace(PRESETS["timeline"], hold_at=None)
 RANGE = 0.05  # largest relative change of a diameter
-FORCE = 1e-6  # first contact: sum of all contact forces [N]
 
 
 def arguments(argv=None) -> argparse.Namespace:
@@ -56,8 +55,8 @@ def first_contact(base: rx.Scene, times, factors):
     run = rx.rollout(new, rx.start(new), times, throw=False)
     force = measures.contacts(new, run).total
     # the force grows through orders of magnitude: its logarithm is nearly linear in a step
-    level = jnp.log(FORCE)
-    time = measures.first_crossing(run.times, jnp.log(force + 1e-3 * FORCE), level)
+    level = jnp.log(FIRST_CONTACT)
+    time = measures.first_crossing(run.times, jnp.log(force + 1e-3 * FIRST_CONTACT), level)
     return jnp.where(run.result == 0, time, jnp.nan), run
 
 

@@ -21,6 +21,7 @@ LOADING_AXIS = (0.0, 1.0, 0.0)  # e2; the rod lies along it, its right end s = 0
 LENGTH = 1.0  # [m]
 NECK = (0.375, 0.625)  # the middle quarter [m]
 LAST_TIME = 1000.0  # the drives are given until then [s]
+FIRST_CONTACT = 1e-6  # counts from this sum of all contact forces on [N]
 
 # Table 1 and section 4 of the paper
 FROM_PAPER = {

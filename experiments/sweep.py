@@ -24,7 +24,7 @@ import jax
 import jax.numpy as jnp
 import matplotlib.pyplot as plt
 import numpy as np
-from example import PRESETS, scene
+from example import FIRST_CONTACT, PRESETS, scene
 from tqdm import tqdm
 
 import rodjax as rx
@@ -33,7 +33,6 @@ from rodjax.compilation import compiled
 from rodjax.sweep import sweep
 
 PRESET = PRESETS["timeline"]
-FORCE = 1e-6  # first contact: sum of all contact forces [N]
 FACTORS = {  # on the preset's values
     "twist": (1.0, 1.1, 1.2, 1.3),
     "drag": (0.3, 1.0, 3.0, 10.0),
@@ -134,7 +133,8 @@ def draw(found, out: Path) -> None:
     )
     for row, (name, label) in enumerate(rows.items()):
         failed = (found["result"] != 0).reshape(shape)
-        values = np.where(failed, np.nan, found[name].reshape(shape))
+        values = found[name].reshape(shape)
+        values = np.where(failed | ~np.isfinite(values), np.nan, values)  # no contact: infinite
         low, high = np.nanmin(values), np.nanmax(values)
         for column in range(shape[0]):
             one = axes[row, column]
@@ -180,7 +180,7 @@ def main(argv=None) -> int:
         run = rx.rollout(new, rx.start(new), steps, throw=False)
         force = measures.contacts(new, run).total
         return {
-            "first_contact": measures.first_crossing(run.times, force, FORCE),
+            "first_contact": measures.first_crossing(run.times, force, FIRST_CONTACT),
             "writhe": measures.writhe(run.final),
             "end_time": run.times[-1],
             "result": jnp.max(run.result),

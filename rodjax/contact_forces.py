@@ -77,7 +77,9 @@ def _pairs_in_use(joints, contact, where, near, velocities, by_velocity) -> Pair
         return jax.tree.map(lambda buffer, value: buffer.at[i].set(value), found, now)
 
     def some():
-        buffers = jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, (len(rows[0]), *leaf.shape)), empty)
+        buffers = jax.tree.map(
+            lambda leaf: jnp.broadcast_to(leaf, (len(rows[0]), *leaf.shape)), empty
+        )
         used = (near.count + BLOCK - 1) // BLOCK
         return _joined(near, joints, lax.fori_loop(0, used, body, buffers))
 

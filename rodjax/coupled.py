@@ -62,7 +62,9 @@ class Coupling(eqx.Module):
     def matrix(self, level: Level) -> Float[Array, "k k"]:
         """K of the joints in contact, or of their nodes."""
         size = level.joints
-        rank = jnp.stack([self.near.rank[joint[: level.pairs]] for joint in joints_of(self.near)], 1)
+        rank = jnp.stack(
+            [self.near.rank[joint[: level.pairs]] for joint in joints_of(self.near)], 1
+        )
         # scattered by whole blocks, which is faster than by numbers
         blocks = jnp.zeros((size, size, 3, 3), self.derivative.dtype)
         index = (rank[:, :, None], rank[:, None, :])

@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from helpers import DIAMETER, hairpin
+from helpers import DIAMETER, hairpin, order_of
 
 from rodjax import contact as contact_of
 from rodjax import contact_forces as forces_of
@@ -37,15 +37,18 @@ LAWS = {
 
 
 @pytest.fixture(scope="module")
-def bent():
+def bent(request):
     """Hairpin scene, a moving state of it, and the points near each other."""
     contact = Contact(LAWS["damped"], segments=20, cutoff=0.1, points_per_segment=2)
-    scene = Scene(hairpin(), Clamped(), Clamped(), (), contact)
+    scene = Scene(hairpin(getattr(request, "param", 24)), Clamped(), Clamped(), (), contact)
     state = start(scene)
     velocity = 0.1 * np.random.default_rng(0).normal(size=state.position.shape)
     state = dataclasses.replace(state, rate=state.rate.at[:, :3].set(velocity))
     return scene, state, find_nearby(scene, state.position, 1e-3 * state.velocity)
 
+
+# grids finer and coarser than the contact's 20 segments
+finer_and_coarser = pytest.mark.parametrize("bent", [24, 14], indirect=True)
 
 PAIR = PairProperties(jnp.asarray(DIAMETER), jnp.asarray(0.5))
 
@@ -208,6 +211,7 @@ def test_central_forces_make_no_torque():
     np.testing.assert_allclose(torque, 0.0, atol=1e-12 * float(jnp.max(jnp.abs(push))))
 
 
+@finer_and_coarser
 def test_newton_system_is_the_exact_derivative(bent):
     scene, state, near = bent
     equations = StepEquations(scene, state, jnp.asarray(1e-3), jnp.asarray(0.8), near)
@@ -227,10 +231,13 @@ def test_newton_system_is_the_exact_derivative(bent):
     )
 
 
+@finer_and_coarser
 def test_batches_of_right_sides_and_of_systems(bent):
     """Lanes in contact and out of it, by the solver of their own."""
     scene, state, _ = bent
-    apart = dataclasses.replace(state, position=state.position.at[13:, 0].add(1.0))
+    apart = dataclasses.replace(
+        state, position=state.position.at[len(state.position) // 2 + 1 :, 0].add(1.0)
+    )
     both = jax.tree.map(lambda *leaves: jnp.stack(leaves), state, apart)
     right = jnp.asarray(np.random.default_rng(1).normal(size=(2, state.position.shape[0], 9)))
 
@@ -250,6 +257,37 @@ def test_batches_of_right_sides_and_of_systems(bent):
     # several right sides of several systems
     grid = jax.jit(jax.vmap(lambda s: jax.vmap(system(s).solve)(right)))(both)
     np.testing.assert_allclose(grid[0], jnp.stack(alone), rtol=1e-9, atol=1e-12)
+    # no lane in contact: all together
+    easy = jax.tree.map(lambda leaf: jnp.stack([leaf, leaf]), apart)
+    found = jax.jit(jax.vmap(lambda s, b: system(s).solve_once(b)))(easy, right)
+    expected = jnp.stack([system(apart).solve(b) for b in right])
+    np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-12)
+
+
+def test_joints_lie_on_the_curve_through_the_nodes():
+    """Fourth order on a helix, where chords would be off by kappa l^2/8."""
+
+    def helix(s):
+        return np.stack([0.1 * np.cos(8 * s), 0.1 * np.sin(8 * s), 0.6 * s], -1)
+
+    section = circular_section(DIAMETER, 1e6, 5e5, 1500.0)
+    errors, counts = [], (12, 24, 48)
+    for elements in counts:
+        rod = straight_rod(1.0, elements, section)
+        contact = Contact(LAWS["damped"], segments=50, cutoff=0.1, points_per_segment=2)
+        where = contact_of.sites(contact, rod)
+        joints = contact_of.interpolate(where, jnp.asarray(helix(np.asarray(rod.arc_length))))
+        exact = helix(np.linspace(0, 1, 51))
+        errors.append(np.max(np.linalg.norm(np.asarray(joints) - exact, axis=1)))
+        np.testing.assert_allclose(jnp.sum(where.weight, 1), 1.0, atol=1e-13)
+        # forces are spread with the same total and moment
+        force = jnp.asarray(np.random.default_rng(0).normal(size=joints.shape))
+        nodes = helix(np.asarray(rod.arc_length))
+        nodal = np.asarray(contact_of.spread(where, force, elements + 1))
+        np.testing.assert_allclose(nodal.sum(0), force.sum(0), atol=1e-12)
+        moment = np.cross(joints, force).sum(0)
+        np.testing.assert_allclose(np.cross(nodes, nodal).sum(0), moment, atol=1e-12)
+    assert order_of(1 / np.asarray(counts), errors) > 3.5
 
 
 # where strands settle under each law
@@ -324,6 +362,7 @@ def test_capacity_overflow_is_reported(bent):
     assert int(info.result) == Result.CAPACITY_OVERFLOW
 
 
+@finer_and_coarser
 def test_every_size_of_solver_gives_the_same_increment(bent):
     scene, state, near = bent
     found = []
