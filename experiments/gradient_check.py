@@ -50,7 +50,7 @@ TIMES = {"timeline": (15.0, 25.0, 29.2, 32.0), "stout": (8.0, 10.0, 10.6, 11.0)}
 QUICK_TIMES = (1.0, 2.0)
 # differences must not see where Newton's iteration stopped
 TOLERANCE = 1e-13
-WIDTHS = tuple(1e-3 * 0.5**k for k in range(4))
+WIDTHS = tuple(1e-3 * 0.5**k for k in range(4))  # less where the writhe changes more
 MEMORY_ELEMENTS, MEMORY_STEPS, MEMORY_SAVES = 1000, 2000, 20
 
 
@@ -193,11 +193,15 @@ def direction(name: str) -> Factors:
     return eqx.tree_at(lambda by: getattr(by, name), zero, jnp.ones(()))
 
 
-def differences(value, name: str) -> tuple[np.ndarray, np.ndarray]:
-    """Central difference by Ridders' extrapolation over halved widths, and its error estimate."""
+def differences(value, name: str, slope: float) -> tuple[np.ndarray, np.ndarray]:
+    """Central difference by Ridders' extrapolation over halved widths, and its error estimate.
+
+    The widths are those that change the writhe by 1e-3 at most, judged by the largest slope.
+    """
     step, table = direction(name), []
     best, error = None, None
-    for k, width in enumerate(WIDTHS):
+    for k, widest in enumerate(WIDTHS):
+        width = widest / max(1.0, slope)
         at = lambda sign, w=width: value(
             jax.tree.map(lambda x, d: x + sign * w * d, Factors.ones(), step)
         )
@@ -222,7 +226,7 @@ def compare(programs: Programs, marks: tuple[float, ...]) -> list[dict[str, Any]
     rows = []
     for name in tqdm(NAMES, desc="differences", disable=None):
         forward = np.asarray(programs.slope(one, direction(name)))
-        central, error = differences(programs.value, name)
+        central, error = differences(programs.value, name, float(np.max(np.abs(forward))))
         for i, t in enumerate(marks):
             back = float(getattr(reverse[i], name))
             size = max(abs(back), abs(value[i]))

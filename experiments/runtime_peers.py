@@ -65,14 +65,15 @@ class Peer:
 def peer_methods(problems: dict[str, Problem]) -> dict[str, Peer]:
     """The peers as methods, by name."""
     import peers
+    from peer_problems import PROBLEMS
 
     names = {problem.title: name for name, problem in problems.items()}
 
     def runner(peer):
         def run(name, elements, dt):
-            if name not in peers.PROBLEMS:
-                return CannotRun("has no such problem in peers.py")
-            problem, times = peers.PROBLEMS[name], problems[name].times
+            if name not in PROBLEMS:
+                return CannotRun("has no such problem in peer_problems.py")
+            problem, times = PROBLEMS[name], problems[name].times
             if not problems[name].static:
                 problem = dataclasses.replace(problem, times=times)
             return peers.PEERS[peer](problem, elements, dt)

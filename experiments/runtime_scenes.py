@@ -14,15 +14,14 @@ from typing import NamedTuple
 import _settings  # noqa: F401 (first)
 import example
 import numpy as np
-import peers
+import peer_problems
+from peer_problems import POINTS
 
 from rodjax.ends import Clamped, Free
 from rodjax.loads import PointLoad
 from rodjax.rod import Section, curved_rod
 from rodjax.scene import Scene
 from rodjax.schedules import Constant
-
-POINTS = peers.POINTS
 
 
 @dataclasses.dataclass(frozen=True)
@@ -70,15 +69,16 @@ def until(end: float, count: int) -> tuple[float, ...]:
 
 
 def as_peers(name: str, compliant: bool) -> Callable[[int], Scene]:
-    """A problem that `peers.py` states for every code."""
-    return lambda elements: peers.rodjax_scene(peers.PROBLEMS[name], elements, extensible=compliant)
+    """A problem that `peer_problems.py` states for every code."""
+    stated = peer_problems.PROBLEMS[name]
+    return lambda elements: peer_problems.rodjax_scene(stated, elements, extensible=compliant)
 
 
 def bend(compliant: bool) -> Callable[[int], Scene]:
     """The 45-degree bend of Bathe & Bolourchi (1979), a tip load normal to its plane."""
-    stated = peers.PROBLEMS["bend"]
+    stated = peer_problems.PROBLEMS["bend"]
     stretch = 1 / stated.stretch_stiffness
-    shear = 2.5 * stretch / peers.SHEAR_FACTOR  # E/G = 2.5
+    shear = 2.5 * stretch / peer_problems.SHEAR_FACTOR  # E/G = 2.5
     section = Section(
         stiffness=(stated.bend_stiffness,) * 3,
         compliance=(shear, shear, stretch) if compliant else None,

@@ -32,7 +32,8 @@ import example
 import jax
 import jax.numpy as jnp
 import numpy as np
-import peers
+import peer_problems
+import peer_pyelastica
 from jax import lax
 
 from rodjax import energy, measures, topology
@@ -102,11 +103,11 @@ def arguments(argv=None) -> argparse.Namespace:
     return options
 
 
-def problem(until: float) -> peers.Problem:
+def problem(until: float) -> peer_problems.Problem:
     """The preset as a problem for every code, recorded every `RECORD`."""
     last = PRESET.drive[-1]
     turns = last[1] + PRESET.rate_after * (example.LAST_TIME - last[0])
-    return peers.Problem(
+    return peer_problems.Problem(
         example.LOADING_AXIS,
         tuple(RECORD * np.arange(1, round(until / RECORD) + 1)),
         diameter=PRESET.diameter,
@@ -114,7 +115,7 @@ def problem(until: float) -> peers.Problem:
         seed_curvature=PRESET.seed_curvature,
         turns=(*PRESET.drive, (example.LAST_TIME, turns)),
         slides=True,
-        drag=peers.Drag(1000.0, 0.1, 0.01),
+        drag=peer_problems.Drag(1000.0, 0.1, 0.01),
     )
 
 
@@ -156,9 +157,11 @@ def _linking(positions, frames):
 def pyelastica_run(until: float, elements: int, dt: float, near: bool) -> tuple[Series, Cost]:
     """PyElastica; `near` lists near pairs of elements for the same contact forces sooner."""
     whole, scale = problem(until), 100 / elements
-    law = peers.near_self_contact(PAIR_MARGIN, PAIR_CALLS) if near else None
-    build = lambda: peers.pyelastica_system(whole, elements, (scale * SPRING, scale * DASHPOT), law)
-    peers.pyelastica_steps(build(), (2 * dt,), dt, lambda *_: None)  # numba compiles
+    law = peer_pyelastica.near_self_contact(PAIR_MARGIN, PAIR_CALLS) if near else None
+    build = lambda: peer_pyelastica.pyelastica_system(
+        whole, elements, (scale * SPRING, scale * DASHPOT), law
+    )
+    peer_pyelastica.pyelastica_steps(build(), (2 * dt,), dt, lambda *_: None)  # numba compiles
     seen = []
 
     def look(rod, now):
@@ -171,7 +174,7 @@ def pyelastica_run(until: float, elements: int, dt: float, near: bool) -> tuple[
         if len(seen) % 10 == 0:
             print(f"PyElastica, {elements} elements: t = {now:.1f} s", file=sys.stderr, flush=True)
 
-    cost = Cost(*peers.pyelastica_steps(build(), whole.times, dt, look))
+    cost = Cost(*peer_pyelastica.pyelastica_steps(build(), whole.times, dt, look))
     times, positions, frames, energies = (np.array(part) for part in zip(*seen, strict=True))
     return pyelastica_series(until, times, positions, frames, energies), cost
 
@@ -189,7 +192,7 @@ def pyelastica_series(until: float, times, positions, frames, energies) -> Serie
 
 def rodjax_run(until: float, elements: int, tighter: float) -> tuple[Series, Cost]:
     """rodjax, by adaptive steps with the preset's tolerances divided by `tighter`."""
-    scene = peers.rodjax_scene(problem(until), elements, penalty(elements))
+    scene = peer_problems.rodjax_scene(problem(until), elements, penalty(elements))
     relative, absolute = (tolerance / tighter for tolerance in PRESET.tolerances)
     control = StepControl(relative, absolute, PRESET.max_step)
     compile_adaptive_rollout(scene)

@@ -12,24 +12,27 @@ import pytest
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "experiments"))
 
+import peer_dismech
+import peer_problems
+import peer_pyelastica
 import peers
 
 import rodjax as rx
 
-CANTILEVER = peers.PROBLEMS["cantilever"]
+CANTILEVER = peer_problems.PROBLEMS["cantilever"]
 
 
-def shorter(problem: peers.Problem, count: int) -> peers.Problem:
+def shorter(problem: peer_problems.Problem, count: int) -> peer_problems.Problem:
     """The first few recorded times."""
     return dataclasses.replace(problem, times=problem.times[:count])
 
 
 def swing(elements: int) -> np.ndarray:
     """rodjax's cantilever at the recorded times and points up to 0.25 s."""
-    scene = peers.rodjax_scene(CANTILEVER, elements)
+    scene = peer_problems.rodjax_scene(CANTILEVER, elements)
     run = rx.rollout(scene, rx.start(scene), jnp.linspace(0, 0.25, 101)[1:])
     seen = rx.positions_at(run, jnp.asarray(CANTILEVER.times[:5]))
-    return np.asarray(seen[:, :: elements // (peers.POINTS - 1)])
+    return np.asarray(seen[:, :: elements // (peer_problems.POINTS - 1)])
 
 
 @pytest.fixture(scope="module")
@@ -39,16 +42,16 @@ def swung():
 
 def test_scene_and_problem_agree():
     """Section, neck, seed, drive and drag of a problem arrive in the scene."""
-    problem = peers.Problem(
+    problem = peer_problems.Problem(
         (0.0, 1.0, 0.0),
         (1.0,),
         neck=(0.375, 0.625, 0.9),
         seed_curvature=0.02,
         turns=((0.0, 0.0), (1.0, 2.0)),
         slides=True,
-        drag=peers.Drag(1000.0, 0.1, 0.01),
+        drag=peer_problems.Drag(1000.0, 0.1, 0.01),
     )
-    scene = peers.rodjax_scene(problem, 20)
+    scene = peer_problems.rodjax_scene(problem, 20)
     rod = scene.rod
     area = np.pi * 0.01**2 / 4
     np.testing.assert_allclose(rod.stiffness[0, 0], 1.25e7 * area * 0.01**2 / 16)
@@ -62,8 +65,8 @@ def test_scene_and_problem_agree():
 @pytest.mark.parametrize("slides", [False, True])
 def test_held_ends_lie_in_the_middle_of_their_elements(slides):
     neck = (0.375, 0.625, 0.9)
-    problem = peers.Problem((0.0, 1.0, 0.0), (1.0,), neck=neck, slides=slides)
-    nodes = peers.held_grid(problem, 30)
+    problem = peer_problems.Problem((0.0, 1.0, 0.0), (1.0,), neck=neck, slides=slides)
+    nodes = peer_problems.held_grid(problem, 30)
     assert len(nodes) == 31 and np.all(np.diff(nodes) > 0)
     middles = 0.5 * (nodes[1:] + nodes[:-1])
     assert abs(middles[0]) < 1e-15
@@ -77,7 +80,7 @@ def test_pyelastica_swings_the_same_cantilever(swung):
     """Undamped, to the difference of the two grids; a shear factor or mass amiss shows."""
     pytest.importorskip("elastica")
     found = [
-        peers.run_pyelastica(shorter(CANTILEVER, 5), elements, 5e-5).positions
+        peer_pyelastica.run_pyelastica(shorter(CANTILEVER, 5), elements, 5e-5).positions
         for elements in (20, 40)
     ]
     moved = np.max(np.abs(swung - swung[0, :1]))
@@ -90,7 +93,7 @@ def test_pyelastica_swings_the_same_cantilever(swung):
 def test_pyelastica_says_what_it_cannot():
     pytest.importorskip("elastica")
     assert "static" in peers.run("pyelastica", "bend", 20, 1e-4).reason
-    reason = peers.run_pyelastica(shorter(CANTILEVER, 1), 20, 2e-3).reason
+    reason = peer_pyelastica.run_pyelastica(shorter(CANTILEVER, 1), 20, 2e-3).reason
     assert "diverged" in reason
 
 
@@ -98,9 +101,9 @@ def test_list_of_near_pairs_gives_pyelasticas_own_contact_forces():
     pytest.importorskip("elastica")
     from elastica._contact_functions import _calculate_contact_forces_self_rod
 
-    problem = peers.Problem((0.0, 1.0, 0.0), (0.1,), neck=(0.375, 0.625, 0.9), slides=True)
-    law = peers.near_self_contact(0.01, 20)
-    rod = peers.pyelastica_system(problem, 60, (1e4, 10.0), law).rod
+    problem = peer_problems.Problem((0.0, 1.0, 0.0), (0.1,), neck=(0.375, 0.625, 0.9), slides=True)
+    law = peer_pyelastica.near_self_contact(0.01, 20)
+    rod = peer_pyelastica.pyelastica_system(problem, 60, (1e4, 10.0), law).rod
     u = np.linspace(0, 6 * np.pi, 61)  # a coil of touching turns
     rod.position_collection[:] = [0.02 * np.cos(u), 1.6e-3 * u, 0.02 * np.sin(u)]
     rod.velocity_collection[:] = np.random.default_rng(0).normal(size=(3, 61))
@@ -122,11 +125,11 @@ def test_dismech_newton_finds_the_bend_and_the_cantilever(swung):
     if importlib.util.find_spec("dismech_newton") is None:
         pytest.skip("dismech-newton is not installed")
     bend = peers.run("dismech-newton", "bend", 40, 0.0)
-    if isinstance(bend, peers.CannotRun):
+    if isinstance(bend, peer_problems.CannotRun):
         pytest.skip(bend.reason)
     # of an inextensible rod, from the continuous equations
     np.testing.assert_allclose(bend.positions[-1, -1], [47.151, 15.685, 53.469], atol=0.06)
-    found = peers.run_dismech(shorter(CANTILEVER, 5), 40, 2.5e-3).positions
+    found = peer_dismech.run_dismech(shorter(CANTILEVER, 5), 40, 2.5e-3).positions
     moved = np.max(np.abs(swung - swung[0, :1]))
     assert np.max(np.abs(found - swung)) < 1e-2 * moved
 
