@@ -21,6 +21,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 import optax
 from example import FIRST_CONTACT, PRESETS, resized, scene
+from jax import lax
 
 import rodjax as rx
 from rodjax import measures
@@ -45,7 +46,8 @@ def arguments(argv=None) -> argparse.Namespace:
 def shaped(base: rx.Scene, factors) -> rx.Scene:
     """The scene whose diameters are changed by these factors, then all scaled to the same mass."""
     rod = base.rod
-    factors = factors * jnp.sqrt(jnp.sum(rod.mass) / jnp.sum(rod.mass * factors**2))
+    mass = rod.mass * rod.length
+    factors = factors * jnp.sqrt(jnp.sum(mass) / jnp.sum(mass * factors**2))
     return dataclasses.replace(base, rod=resized(rod, factors))
 
 
@@ -57,6 +59,9 @@ def first_contact(base: rx.Scene, times, factors):
     # the force grows through orders of magnitude: its logarithm is nearly linear in a step
     level = jnp.log(FIRST_CONTACT)
     time = measures.first_crossing(run.times, jnp.log(force + 1e-3 * FIRST_CONTACT), level)
+    # strands that pass each other within one step have touched as well: no way out for the descent
+    passed = jnp.abs(lax.stop_gradient(measures.linking(new, run).error))
+    time = jnp.minimum(time, measures.first_crossing(run.times, passed, 0.5))
     return jnp.where(run.result == 0, time, jnp.nan), run
 
 

@@ -14,8 +14,9 @@ from rodjax.compilation import compiled
 from rodjax.scene import Scene, projectors
 from rodjax.state import State
 
-# A passage changes Lk by 2, rounding by far less; so far may it be off [turns].
-_ALLOWED = 1.0
+# A passage changes Lk by 2, an element folded by more than half a turn its polygon's Lk by 1,
+# rounding by far less; so far may it be off [turns].
+_ALLOWED = 0.5
 
 # Cosine beyond which the ends run side by side, where Wr of infinite extensions has no limit.
 _SIDE_BY_SIDE = -0.99

@@ -38,8 +38,8 @@ MESSAGES = {
         "Newton's method did not converge; use a smaller step, or the adaptive rollout"
     ),
     Result.STRAND_PASSAGE: (
-        "a strand seems to have passed through another (Tw + Wr jumped); use more contact segments,"
-        " a stiffer law or smaller steps"
+        "a strand seems to have passed through another (Tw + Wr jumped); use more contact segments"
+        " and elements, a stiffer law or smaller steps"
     ),
     Result.CAPACITY_OVERFLOW: (
         "more pairs or joints were in contact than the contact's `pairs_per_segment` and"
