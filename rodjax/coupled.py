@@ -69,7 +69,7 @@ class Coupling(eqx.Module):
         blocks = jnp.zeros((size, size, 3, 3), self.derivative.dtype)
         index = (rank[:, :, None], rank[:, None, :])
         blocks = blocks.at[index].add(self.derivative[: level.pairs], mode="drop")
-        if level.nodes is not None:
+        if self.near.nodes is not None:
             weight = self.weights(size)[self.near.nodes[: level.nodes]]
             blocks = jnp.einsum("na,abij,mb->nmij", weight, blocks, weight)
         return jnp.swapaxes(blocks, 1, 2).reshape(3 * blocks.shape[0], -1)
@@ -83,7 +83,7 @@ class Coupling(eqx.Module):
 
     def places(self, level: Level) -> Float[Array, "nodes m"]:
         """Weights at the nodes of what K couples: joints, or the nodes themselves."""
-        if level.nodes is None:
+        if self.near.nodes is None:
             return self.weights(level.joints)
         chosen = jnp.arange(self.left.shape[0])[:, None] == self.near.nodes[: level.nodes]
         return chosen.astype(self.left.dtype)
@@ -91,7 +91,7 @@ class Coupling(eqx.Module):
     def read(self, columns: Float[Array, "nodes 9 c"], level: Level) -> Float[Array, "k c"]:
         """R^T times columns: displacements of the joints in contact, or of their nodes."""
         nodal = jnp.einsum("nrk,nrc->nkc", self.right, columns)
-        if level.nodes is None:
+        if self.near.nodes is None:
             chosen = self.near.order[: level.joints]
             at, weight = self.where.nodes[chosen], self.where.weight[chosen]
             found = jnp.einsum("mj,mjkc->mkc", weight, nodal[at])

@@ -25,7 +25,7 @@ class Near(NamedTuple):
     count: Int[Array, ""]  # pairs in the list
     order: Int[Array, " j"]  # all joints, those involved first
     rank: Int[Array, " j"]  # place of each joint in `order`
-    nodes: Int[Array, " nodes"]  # all nodes, those between which joints involved lie first
+    nodes: Int[Array, " nodes"] | None  # all, those between which such joints lie first; if needed
     level: Int[Array, ""]  # 0: no pair; k: the k-th of `contact.levels` holds them
     overflow: Bool[Array, ""]  # pairs or joints were left out
 
@@ -96,16 +96,15 @@ def search(
     involved = jnp.zeros((contact.segments + 1,), bool).at[:-1].set(segments)
     involved = involved | jnp.roll(involved, 1)
     order, rank, joints = _first(involved)
-    between = jnp.zeros(position.shape[:1], jnp.int32).at[where.nodes]
-    nodes, _, count_nodes = _first(between.add(involved[:, None] & (where.weight != 0)) > 0)
-    fits = jnp.stack(
-        [
-            (joints <= size.joints)
-            & (count <= size.pairs)
-            & (True if size.nodes is None else count_nodes <= size.nodes)
-            for size in sizes
-        ]
+    fits = (joints <= jnp.asarray([size.joints for size in sizes])) & (
+        count <= jnp.asarray([size.pairs for size in sizes])
     )
+    nodes = None
+    if sizes[-1].nodes is not None:
+        between = jnp.zeros(position.shape[:1], jnp.int32).at[where.nodes]
+        between = between.add(involved[:, None] & (where.weight != 0)) > 0
+        nodes, _, count_nodes = _first(between)
+        fits = fits & (count_nodes <= jnp.asarray([size.nodes for size in sizes]))
     overflow = ~fits[-1]
     level = jnp.where(overflow, len(sizes), jnp.argmax(fits) + 1)
     level = jnp.where(count == 0, 0, level).astype(jnp.int32)
