@@ -95,7 +95,7 @@ def main(argv=None) -> int:
         base = dataclasses.replace(
             base, contact=dataclasses.replace(base.contact, segments=40, points_per_segment=8)
         )
-    last, count = (32.0, 130) if options.quick else (45.0, 300)
+    last, count = (40.0, 160) if options.quick else (45.0, 300)
     times = np.linspace(0.0, last, count + 1)[1:]
     # a rod that is never in contact has a loss without slope: the end of the run stands for it
     loss = lambda factors: -jnp.minimum(first_contact(base, times, factors)[0], last)
