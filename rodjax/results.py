@@ -11,15 +11,15 @@ class Result(enum.IntEnum):
     """Why a computation ended; the larger code wins when several are joined."""
 
     SUCCESS = 0
-    UNRESOLVED = 1
-    STEP_TOO_SMALL = 2
-    MAX_STEPS = 3
-    NEWTON_FAILED = 4
-    STRAND_PASSAGE = 5
-    CAPACITY_OVERFLOW = 6
-    ROTATION_TOO_LARGE = 7
-    SWITCH_MISSED = 8
-    NON_FINITE = 9
+    STEP_TOO_SMALL = 1
+    MAX_STEPS = 2
+    NEWTON_FAILED = 3
+    STRAND_PASSAGE = 4
+    CAPACITY_OVERFLOW = 5
+    ROTATION_TOO_LARGE = 6
+    SWITCH_MISSED = 7
+    NON_FINITE = 8
+    UNRESOLVED = 9  # only of runs in which nothing failed
 
 
 MESSAGES = {
