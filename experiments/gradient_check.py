@@ -1,7 +1,7 @@
 """Derivatives through the whole example: reverse mode, forward mode and differences.
 
-    python experiments/gradient_check.py [--preset timeline|stout] [--elements N] [--no-memory]
-                                         [--quick] [--out DIR]
+    python experiments/gradient_check.py [--preset timeline|stout] [--elements N]
+                                         [--inputs NAME ...] [--no-memory] [--quick] [--out DIR]
 
 An adaptive run is recorded and its steps are replayed. The derivatives of the writhe at four times
 (before buckling, in the loop, at first contact, intertwined) by the logarithms of a dozen inputs
@@ -19,7 +19,7 @@ import statistics
 import subprocess
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -217,14 +217,16 @@ def differences(value, name: str, slope: float) -> tuple[np.ndarray, np.ndarray]
     return best, error
 
 
-def compare(programs: Programs, marks: tuple[float, ...]) -> list[dict[str, Any]]:
-    """All derivatives, one row for each input and time."""
+def compare(
+    programs: Programs, marks: tuple[float, ...], names: Sequence[str], partial: Path
+) -> list[dict[str, Any]]:
+    """All derivatives, one row for each input and time; written to `partial` as they come."""
     one = Factors.ones()
     value = np.asarray(programs.value(one))
     eye = np.eye(len(marks))
     reverse = [programs.gradient(one, jnp.asarray(row))[1] for row in eye]
     rows = []
-    for name in tqdm(NAMES, desc="differences", disable=None):
+    for name in tqdm(names, desc="differences", disable=None):
         forward = np.asarray(programs.slope(one, direction(name)))
         central, error = differences(programs.value, name, float(np.max(np.abs(forward))))
         for i, t in enumerate(marks):
@@ -243,6 +245,7 @@ def compare(programs: Programs, marks: tuple[float, ...]) -> list[dict[str, Any]
                     "differences_own_error": float(error[i]) / size,
                 }
             )
+        partial.write_text(json.dumps(rows, indent=2))
     return rows
 
 
@@ -284,8 +287,9 @@ def measure_memory(options) -> dict[str, Any]:
 
 def draw(rows, marks, out: Path) -> None:
     """Derivatives, and by how much they disagree."""
-    figure, both = plt.subplots(1, 2, figsize=(12, 0.32 * len(NAMES) + 1.5), layout="constrained")
-    place = np.arange(len(NAMES))
+    found = list(dict.fromkeys(row["input"] for row in rows))
+    figure, both = plt.subplots(1, 2, figsize=(12, 0.32 * len(found) + 1.5), layout="constrained")
+    place = np.arange(len(found))
     floor = 1e-17
     for i, t in enumerate(marks):
         chosen = [row for row in rows if row["time"] == t]
@@ -300,12 +304,12 @@ def draw(rows, marks, out: Path) -> None:
         both[1].plot(np.maximum(pick("modes_disagree"), floor), place + shift, "x", color=color)
         own = np.maximum(pick("differences_own_error"), floor)
         both[1].plot(own, place + shift, "|", ms=9, color=color)
-    names = [name.replace("_", " ") for name in NAMES]
+    names = [name.replace("_", " ") for name in found]
     both[0].set_yticks(place, names)
     both[1].set_yticks(place, [])
     for axes in both:
         axes.set_xscale("log")
-        axes.set_ylim(len(NAMES) - 0.5, -0.5)
+        axes.set_ylim(len(found) - 0.5, -0.5)
         axes.grid(axis="x", alpha=0.3)
     both[0].set_xlabel("|d writhe / d log input|")
     both[0].legend(loc="upper center", bbox_to_anchor=(0.5, 1.1), ncols=len(marks), fontsize=8)
@@ -326,6 +330,8 @@ def arguments(argv=None) -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument("--preset", choices=PRESETS, default="timeline")
     parser.add_argument("--elements", type=int, metavar="N", help="default 200 (20 with --quick)")
+    parser.add_argument("--inputs", nargs="+", choices=NAMES, default=NAMES, metavar="NAME",
+                        help="compare the derivatives by these only")  # fmt: skip
     parser.add_argument("--no-memory", action="store_true", help="leave the memory report out")
     parser.add_argument("--memory-of", choices=("value", "gradient"), help=argparse.SUPPRESS)
     parser.add_argument("--quick", action="store_true", help="coarse and short, to try it out")
@@ -356,7 +362,7 @@ def main(argv=None) -> int:
     gradients = timed(programs.gradient, weights, repeats)
     print(f"value {statistics.median(values):.2f} s, with gradient"
           f" {statistics.median(gradients):.2f} s")  # fmt: skip
-    rows = compare(programs, marks)
+    rows = compare(programs, marks, options.inputs, options.out / "derivatives.json")
     print(f"\n{'input':<18} {'t [s]':>7} {'writhe':>10} {'reverse':>12} {'forward':>12}"
           f" {'difference':>12} {'modes':>8} {'differ.':>8} {'own err.':>8}")  # fmt: skip
     for row in rows:

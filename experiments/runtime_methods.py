@@ -205,7 +205,7 @@ def on_ladder(problem: Problem) -> Sequence[Case]:
     if problem.static:
         return ()
     together = [Case(n, steps) for n, steps in problem.ladder]
-    return (*together, *(Case(n, 4 * steps) for n, steps in problem.ladder[:-1]))
+    return (*together, *(Case(n, 4 * steps) for n, steps in problem.ladder))
 
 
 def on_kirchhoff_ladder(problem: Problem) -> Sequence[Case]:

@@ -118,7 +118,7 @@ PROBLEMS = {
         until(1.0, 20),
         (20, 40, 80, 160),
         4,
-        (320, 256),
+        (640, 512),
     ),
     "buckling": Problem(
         "torsional buckling",
@@ -152,9 +152,9 @@ PROBLEMS = {
         "the example through intertwining",
         intertwining(True),
         until(32.0, 64),
-        (40, 80),
+        (40, 80, 160),
         None,
-        (160, 40),
+        (320, 1),
         writhe=True,
     ),
     "bend": Problem(

@@ -20,6 +20,7 @@ hand, because differentiating the strains twice by machine costs fifty times as 
 from typing import NamedTuple
 
 import jax.numpy as jnp
+from jax import lax
 from jaxtyping import Array, Float
 
 from rodjax import rotations
@@ -69,17 +70,26 @@ def internal(
     phi = kinematics.rotation
     q = internal_moment(rod, phi)
     squared = jnp.sum(phi * phi, -1, keepdims=True)
-    once = jnp.cross(phi, q)
-    even = q + rotations.inverse_tangent_coefficient(squared) * jnp.cross(phi, once)
-    w = rod.length[:, None] * jnp.cross(force, kinematics.stretch)
-    turned = rotations.midframe_coefficient(squared) * jnp.cross(phi, w)
-    half = 0.5 * w
-    spatial = jnp.einsum("nij,nj->ni", kinematics.frame, force)
+    once = rotations.cross(phi, q)
+    even = q + rotations.inverse_tangent_coefficient(squared) * rotations.cross(phi, once)
+    constraining = constraint_wrench(rod, kinematics, force)
     return Internal(
-        force=scatter(-spatial, spatial),
-        moment=scatter(half + turned - even - 0.5 * once, half - turned + even - 0.5 * once),
+        force=constraining[:, :3],
+        moment=constraining[:, 3:] + scatter(-even - 0.5 * once, even - 0.5 * once),
         constraint=constraint(rod, kinematics.stretch, force),
     )
+
+
+def constraint_wrench(
+    rod: Rod, kinematics: Strains, force: Float[Array, "n 3"]
+) -> Float[Array, "nodes 6"]:
+    """What the internal force f adds to the balances of the nodes."""
+    phi = kinematics.rotation
+    squared = jnp.sum(phi * phi, -1, keepdims=True)
+    w = rod.length[:, None] * rotations.cross(force, kinematics.stretch)
+    half, turned = 0.5 * w, rotations.midframe_coefficient(squared) * rotations.cross(phi, w)
+    spatial = jnp.einsum("nij,nj->ni", kinematics.frame, force)
+    return jnp.concatenate([scatter(-spatial, spatial), scatter(half + turned, half - turned)], 1)
 
 
 def scatter(first: Float[Array, "n *k"], second: Float[Array, "n *k"]) -> Float[Array, "nodes *k"]:
@@ -129,7 +139,7 @@ def element_tangent(
     phi, gamma = kinematics.rotation, kinematics.stretch
     ds = rod.length[:, None, None]
     q = internal_moment(rod, phi)
-    w = rod.length[:, None] * jnp.cross(force, gamma)
+    w = rod.length[:, None] * rotations.cross(force, gamma)
     squared = jnp.sum(phi * phi, -1)[:, None, None]
     eye = jnp.eye(3, dtype=phi.dtype)
     outer = lambda x, y: x[:, :, None] * y[:, None, :]
@@ -138,11 +148,11 @@ def element_tangent(
     transpose = lambda m: jnp.swapaxes(m, 1, 2)
 
     a, spin = _kinematic_maps(kinematics)
-    once = jnp.cross(phi, q)
-    twice = jnp.cross(phi, once)
+    once = rotations.cross(phi, q)
+    twice = rotations.cross(phi, once)
     slope = rotations.inverse_tangent_slope(squared)[:, :, 0] * twice - rotations.midframe_slope(
         squared
-    )[:, :, 0] * jnp.cross(phi, w)
+    )[:, :, 0] * rotations.cross(phi, w)
     # derivative by phi of the parts that enter the two nodes with opposite signs ...
     opposite = (
         -rotations.inverse_tangent_coefficient(squared) * (hat(once) + outer(q, phi) - dot(q, phi))
@@ -182,7 +192,7 @@ def assemble(
     rod: Rod,
     tangent: ElementTangent,
     node: Float[Array, "nodes 6 6"],
-    projectors: tuple[Float[Array, "6 6"], Float[Array, "6 6"]],
+    projectors: Float[Array, "2 6 6"],
     scales: Scales,
 ) -> BlockTridiagonal:
     """The scaled block matrix of a Newton step.
@@ -195,63 +205,52 @@ def assemble(
     Scaled so: rows by 1, 1/F, 1/(F l); columns by l, F, 1 (F, l of `scales`).
     """
     l, f = scales.length, scales.force
-    n = rod.elements
-    dtype = node.dtype
+    n, dtype = rod.elements, node.dtype
+    before = lambda blocks: jnp.pad(blocks, ((1, 0), (0, 0), (0, 0)))
+    after = lambda blocks: jnp.pad(blocks, ((0, 1), (0, 0), (0, 0)))
     zero = jnp.zeros((n, 3, 3), dtype)
-    transpose = lambda m: jnp.swapaxes(m, 1, 2)
-    edge = transpose(tangent.frame) * (l / rod.length)[:, None, None]
+    edge = jnp.swapaxes(tangent.frame, 1, 2) * (l / rod.length)[:, None, None]
     give = zero
     if rod.compliance is not None:
         give = -f * rod.compliance[:, :, None] * jnp.eye(3, dtype=dtype)
-    force_spin = tangent.force_spin / f
-    moment_edge = tangent.moment_edge / f
-    moment_force = tangent.moment_force / l
-    moment_spin = tangent.moment_spin / (f * l)
-    constraint_spin = tangent.constraint_spin
-    first, second = slice(0, 3), slice(3, 6)
+    cs_i, cs_j = jnp.split(tangent.constraint_spin, 2, axis=2)
+    fs_i, fs_j = jnp.split(tangent.force_spin / f, 2, axis=2)
+    me_i, me_j = jnp.split(tangent.moment_edge / f, 2, axis=1)
+    mf_i, mf_j = jnp.split(tangent.moment_force / l, 2, axis=1)
+    spin_i, spin_j = jnp.split(tangent.moment_spin / (f * l), 2, axis=1)
+    (ms_ii, ms_ij), (ms_ji, ms_jj) = (jnp.split(part, 2, axis=2) for part in (spin_i, spin_j))
 
-    def rows(*parts):
+    def grid(*parts):
         return jnp.concatenate([jnp.concatenate(part, 2) for part in parts], 1)
 
-    node_u = node[:, :3, :3] * (l / f)
-    node_ut = node[:, :3, 3:] / f
-    node_tu = node[:, 3:, :3] / f
-    node_t = node[:, 3:, 3:] / (f * l)
-    as_second = rows(
-        (edge, give, constraint_spin[:, :, second]),
-        (zero, tangent.frame, force_spin[:, :, second]),
-        (moment_edge[:, second], moment_force[:, second], moment_spin[:, second, second]),
-    )
-    as_first = rows(
-        (zero, zero, zero),
-        (zero, zero, -force_spin[:, :, first]),
-        (-moment_edge[:, first], zero, moment_spin[:, first, first]),
-    )
-    empty = jnp.zeros((n + 1, 3, 3), dtype)
-    at_node = rows((empty, empty, empty), (node_u, empty, node_ut), (node_tu, empty, node_t))
+    # what an element adds to the diagonal blocks of its two nodes, and between them
+    nothing = (zero, zero, zero)
+    as_first = grid(nothing, (zero, zero, -fs_i), (-me_i, zero, ms_ii))
+    as_second = grid((edge, give, cs_j), (zero, tangent.frame, fs_j), (me_j, mf_j, ms_jj))
+    lower = before(grid((-edge, zero, cs_i), (zero, zero, fs_i), (-me_j, zero, ms_ji)))
+    upper = after(grid(nothing, (zero, -tangent.frame, -fs_j), (me_i, mf_i, ms_ij)))
+    unit = jnp.repeat(jnp.stack([jnp.ones_like(f), l]), 3)
+    scaled = node * (unit[::-1] / (f * unit[:, None]))  # rows by 1/F, 1/(F l), columns by l, 1
+    own = jnp.concatenate([scaled[:, :, :3], jnp.zeros_like(node[:, :, :3]), scaled[:, :, 3:]], 2)
     # the element before node 0 does not exist: its force is a dummy, set to zero
-    dummy = jnp.zeros((1, 9, 9), dtype).at[0, :3, 3:6].set(jnp.eye(3, dtype=dtype))
-    block_zero = jnp.zeros((1, 9, 9), dtype)
-    diagonal = (
-        at_node + jnp.concatenate([dummy, as_second]) + jnp.concatenate([as_first, block_zero])
+    dummy = jnp.zeros((9, 9), dtype).at[:3, 3:6].set(jnp.eye(3, dtype=dtype))
+    diagonal = jnp.pad(own, ((0, 0), (3, 0), (0, 0))) + jnp.pad(
+        dummy[None], ((0, n), (0, 0), (0, 0))
     )
-    lower = rows(
-        (-edge, zero, constraint_spin[:, :, first]),
-        (zero, zero, force_spin[:, :, first]),
-        (-moment_edge[:, second], zero, moment_spin[:, second, first]),
+    diagonal = diagonal + after(as_first) + before(as_second)
+
+    # rows of the balances at both ends, of their own block and of that of the neighbour
+    first = jnp.concatenate([diagonal[0, 3:], upper[0, 3:]], 1)
+    last = jnp.concatenate([diagonal[-1, 3:], lower[-1, 3:]], 1)
+    balances = jnp.stack([first, last])
+    gap = jnp.zeros_like(projectors[:, :, :3])
+    aims = jnp.concatenate([projectors[:, :, :3], gap, projectors[:, :, 3:], gap, gap, gap], 2)
+    balances = balances + aims - projectors @ balances
+
+    def replaced(blocks, index, row):
+        return lax.dynamic_update_slice(blocks, row[None], (index, 3, 0))
+
+    diagonal = replaced(replaced(diagonal, 0, balances[0, :, :9]), n, balances[1, :, :9])
+    return BlockTridiagonal(
+        replaced(lower, n, balances[1, :, 9:]), diagonal, replaced(upper, 0, balances[0, :, 9:])
     )
-    upper = rows(
-        (zero, zero, zero),
-        (zero, -tangent.frame, -force_spin[:, :, second]),
-        (moment_edge[:, first], moment_force[:, first], moment_spin[:, first, second]),
-    )
-    lower = jnp.concatenate([block_zero, lower])
-    upper = jnp.concatenate([upper, block_zero])
-    columns = jnp.array([0, 1, 2, 6, 7, 8])
-    for index, projector in zip((0, -1), projectors, strict=True):
-        keep = jnp.eye(6, dtype=dtype) - projector
-        lower = lower.at[index, 3:].set(keep @ lower[index, 3:])
-        upper = upper.at[index, 3:].set(keep @ upper[index, 3:])
-        prescribed = jnp.zeros((6, 9), dtype).at[:, columns].set(projector)
-        diagonal = diagonal.at[index, 3:].set(keep @ diagonal[index, 3:] + prescribed)
-    return BlockTridiagonal(lower, diagonal, upper)

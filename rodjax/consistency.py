@@ -13,7 +13,7 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Float
 
-from rodjax import balance, contact_forces, ends, inertia, rotations
+from rodjax import balance, contact_forces, ends, inertia, newton, rotations
 from rodjax.balance import Scales
 from rodjax.block_tridiagonal import BlockTridiagonal
 from rodjax.compilation import compiled
@@ -110,7 +110,8 @@ class _Constrained(eqx.Module):
     rigid: Float[Array, "n 3"]  # 0 where the element is compliant
     projectors: Float[Array, "2 6 6"]
     scales: Scales
-    blocks: BlockTridiagonal
+    mass: Float[Array, "nodes 6 6"]
+    blocks: BlockTridiagonal  # of `multiply`, without derivative
 
     @classmethod
     def of(cls, scene: Scene, state: State) -> "_Constrained":
@@ -123,22 +124,51 @@ class _Constrained(eqx.Module):
         matrix = _inertia_matrix(scene, state)
         scales = Scales(jnp.mean(rod.length), jnp.mean(matrix[:, 0, 0]) * jnp.mean(rod.length))
         tangent = balance.constraint_tangent(rod, kinematics)
-        blocks = _release(balance.assemble(rod, tangent, matrix, tuple(both), scales), rigid)
-        return cls(scene, state, kinematics, rigid, both, scales, blocks)
+        blocks = _release(balance.assemble(rod, tangent, matrix, both, scales), rigid)
+        blocks = lax.stop_gradient(blocks)
+        return cls(scene, state, kinematics, rigid, both, scales, matrix, blocks)
 
-    def solve(self, wrench, constraint, prescribed):
+    def _units(self) -> tuple[Float[Array, "6"], Float[Array, "6"]]:
+        """Units of the balances' rows and of the rates."""
+        scales, one = self.scales, jnp.ones_like(self.scales.length)
+        return (
+            jnp.repeat(jnp.stack([scales.force, scales.force * scales.length]), 3),
+            jnp.repeat(jnp.stack([scales.length, one]), 3),
+        )
+
+    def multiply(self, x: Float[Array, "nodes 9"]) -> Float[Array, "nodes 9"]:
+        """The matrix times scaled rates and multipliers, without the matrix.
+
+        The solution is differentiated through this, which costs less than through the blocks.
+        """
+        row, unit = self._units()
+        moved = jnp.concatenate([x[:, :3], x[:, 6:]], 1)
+        force = x[1:, 3:6]
+        rate = moved * unit
+        wrench = jnp.einsum("nij,nj->ni", self.mass, rate) + balance.constraint_wrench(
+            self.scene.rod, self.kinematics, force * self.scales.force
+        )
+        wrench = ends.impose(wrench / row, jnp.stack([moved[0], moved[-1]]), self.projectors)
+        stretching = self.stretch_derivatives(rate, jnp.zeros_like(rate), 1)[0]
+        constraint = self.rigid * stretching + (1 - self.rigid) * force
+        return jnp.concatenate([jnp.concatenate([x[:1, 3:6], constraint]), wrench], 1)
+
+    def solve(self, b: Float[Array, "nodes 9"]) -> Float[Array, "nodes 9"]:
+        """Solution of the scaled system."""
+        return _refined(self.blocks, b)
+
+    def solve_transpose(self, b: Float[Array, "nodes 9"]) -> Float[Array, "nodes 9"]:
+        """Solution of the transposed one."""
+        return _refined(self.blocks.transpose(), b)
+
+    def rates(self, wrench, constraint, prescribed):
         """Rates (n+1, 6) and multipliers (n, 3) for balance, constraint and end right sides."""
-        scales = self.scales
-        scale = jnp.repeat(jnp.stack([scales.force, scales.force * scales.length]), 3)
-        unit = jnp.repeat(jnp.stack([scales.length, jnp.ones_like(scales.length)]), 3)
-        right = wrench / scale
-        for index, projector in zip((0, -1), self.projectors, strict=True):
-            row = right[index] + projector @ (prescribed[index] / unit - right[index])
-            right = right.at[index].set(row)
+        row, unit = self._units()
+        right = ends.impose(wrench / row, jnp.stack(prescribed) / unit, self.projectors)
         pad = jnp.zeros_like(constraint[:1])
         b = jnp.concatenate([jnp.concatenate([pad, constraint]), right], 1)
-        x = _refined_solve(self.blocks, b)
-        return jnp.concatenate([x[:, :3] * scales.length, x[:, 6:]], 1), x[1:, 3:6] * scales.force
+        x = newton.solve_linear(_LinearEquations(self, b))
+        return jnp.concatenate([x[:, :3], x[:, 6:]], 1) * unit, x[1:, 3:6] * self.scales.force
 
     def stretch_derivatives(self, rate, acceleration, order):
         """See `_stretch_derivatives`."""
@@ -167,9 +197,25 @@ class _Constrained(eqx.Module):
             for index, (velocity, _) in zip((0, -1), self.prescribed(ends.rates), strict=True)
         )
         stretching = self.stretch_derivatives(rate, still, 1)[0]
-        new = rate + self.solve(still, -self.rigid * stretching, gap)[0]
+        new = rate + self.rates(still, -self.rigid * stretching, gap)[0]
         energy = lambda rate: inertia.kinetic_energy(self.scene, self.moving(rate))
         return new, energy(rate) - energy(new)
+
+
+class _LinearEquations(eqx.Module):
+    """Matrix times x equals `right`, as `newton.solve_linear` takes them."""
+
+    matrix: _Constrained
+    right: Float[Array, "nodes 9"]
+
+    def residual(self, x):
+        return self.matrix.multiply(x) - self.right
+
+    def linearize(self, x) -> _Constrained:
+        return self.matrix
+
+    def lift(self, x, dx):
+        return dx
 
 
 def project(scene: Scene, state: State) -> tuple[State, Float[Array, ""]]:
@@ -213,7 +259,7 @@ def restart(
     velocities, accelerations = zip(*system.prescribed(ends.rates), strict=True)
 
     if rod.mass is None:
-        rate, force = system.solve(wrench, given, velocities)
+        rate, force = system.rates(wrench, given, velocities)
         new = dataclasses.replace(
             state, rate=rate, acceleration=still, auxiliary=still, force=force
         )
@@ -221,13 +267,13 @@ def restart(
 
     wrench = wrench - inertia.inertial_wrench(scene, motion, still)
     right = jnp.where(system.rigid > 0, -system.stretch_derivatives(rate, still, 2)[1], given)
-    acceleration, force = system.solve(wrench, right, accelerations)
+    acceleration, force = system.rates(wrench, right, accelerations)
     new = dataclasses.replace(
         state, rate=rate, acceleration=acceleration, auxiliary=acceleration, force=force
     )
     if with_jerk:
         right = -system.rigid * system.stretch_derivatives(rate, acceleration, 3)[2]
-        jerk, _ = system.solve(still, right, system.prescribed(ends.jerk))
+        jerk, _ = system.rates(still, right, system.prescribed(ends.jerk))
         new = dataclasses.replace(new, jerk=jerk)
     return new, loss
 
@@ -255,7 +301,7 @@ def _stretch_derivatives(
     omega_e = (omega_i + omega_{i+1})/2 + u x (omega_{i+1} - omega_i), u = p/(2 (1 + w)),
     (w, p) = r = q_i^-1 q_{i+1} and r' = (r omega_{i+1} - omega_i r)/2.
     """
-    cross = jnp.cross
+    cross = rotations.cross
     across = lambda v: jnp.einsum(
         "nji,nj->ni", kinematics.frame, (v[1:, :3] - v[:-1, :3]) / rod.length[:, None]
     )
@@ -293,24 +339,11 @@ def _stretch_derivatives(
     return [stretch1, stretch2, stretch3]
 
 
-def _refined_solve(blocks: BlockTridiagonal, b: Float[Array, "nodes 9"]):
-    """Solution with one step of iterative refinement, differentiated as a linear solve."""
-
-    def product(matrix, x):
-        return matrix.multiply(x[:, :, None])[:, :, 0]
-
-    def refined(matrix):
-        def solve(_, right):
-            factors = matrix.factorize()
-            once = lambda residual: factors.solve(residual[:, :, None])[:, :, 0]
-            refine = lambda _, x: x + once(right - product(matrix, x))
-            return lax.fori_loop(0, 2, refine, jnp.zeros_like(right))
-
-        return solve
-
-    return lax.custom_linear_solve(
-        lambda x: product(blocks, x), b, refined(blocks), refined(blocks.transpose())
-    )
+def _refined(matrix: BlockTridiagonal, b: Float[Array, "nodes 9"]) -> Float[Array, "nodes 9"]:
+    """Solution with one step of iterative refinement."""
+    factors, columns = matrix.factorize(), b[:, :, None]
+    refine = lambda _, x: x + factors.solve(columns - matrix.multiply(x))
+    return lax.fori_loop(0, 2, refine, jnp.zeros_like(columns))[:, :, 0]
 
 
 def _release(blocks: BlockTridiagonal, rigid: Float[Array, "n 3"]) -> BlockTridiagonal:

@@ -130,7 +130,9 @@ def pair_forces(
     evaluate, rows, empty = _blocks(contact, where, near, joints, velocities, by_velocity)
     count = largest(near.count)
     skip = lambda _: empty
-    block = lambda _, row: (None, lax.cond(row[0] < count, evaluate, skip, row))
+    # recomputed in a reverse pass: stored block by block, its values fill a hundred arrays
+    again = jax.checkpoint(evaluate)
+    block = lambda _, row: (None, lax.cond(row[0] < count, again, skip, row))
     return _joined(near, joints, lax.scan(block, None, rows)[1])
 
 

@@ -113,7 +113,7 @@ def couple(
     nearby: Nearby | None,
     motion: NodeMotion,
     by_velocity: Float[Array, ""],
-    projectors: tuple[Float[Array, "6 6"], Float[Array, "6 6"]],
+    projectors: Float[Array, "2 6 6"],
     scales: Scales,
 ) -> tuple[Float[Array, "nodes 3"] | None, Coupling | None]:
     """Contact forces on the nodes [N], and their derivative in a system as `balance.assemble`'s.
@@ -130,8 +130,8 @@ def couple(
     nodes, dtype = motion.position.shape[0], motion.position.dtype
     eye = jnp.zeros((9, 3), dtype).at[3:6].set(jnp.eye(3, dtype=dtype))
     left = jnp.broadcast_to(eye, (nodes, 9, 3))
-    for index, projector in zip((0, -1), projectors, strict=True):
-        left = left.at[index, 3:].add(-projector[:, :3])
+    ends = jnp.stack([left[0], left[-1]]).at[:, 3:].add(-projectors[:, :, :3])
+    left = jnp.concatenate([ends[:1], left[1:-1], ends[1:]])
     coupling = Coupling(
         where,
         near,

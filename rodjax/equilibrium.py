@@ -94,17 +94,20 @@ class StaticEquations(eqx.Module):
         position = self.position + x[:, :3] * self.scales.length
         return at_rest(self.time, position, rotations.multiply(self.quaternion, turn))
 
-    def _gaps(self, motion: NodeMotion) -> list[Float[Array, "6"]]:
+    def _gaps(self, motion: NodeMotion) -> Float[Array, "2 6"]:
         """What the ends lack, scaled: displacement over l, rotation as the body spin to undo."""
-        gaps = []
-        for index, end in zip((0, -1), self.scene.ends, strict=True):
-            origin = self.start.quaternion[index]
-            moved = ends.increments(end, self.start.time, self.time, origin)
-            aim = rotations.multiply(origin, rotations.exponential(moved[3:]))
-            turn = rotations.multiply(rotations.conjugate(aim), motion.quaternion[index])
-            shift = motion.position[index] - self.start.position[index] - moved[:3]
-            gaps.append(jnp.concatenate([shift / self.scales.length, rotations.logarithm(turn)]))
-        return gaps
+        both = lambda rows: jnp.stack([rows[0], rows[-1]])
+        origin = both(self.start.quaternion)
+        moved = jnp.stack(
+            [
+                ends.increments(end, self.start.time, self.time, quaternion)
+                for end, quaternion in zip(self.scene.ends, origin, strict=True)
+            ]
+        )
+        aim = rotations.multiply(origin, rotations.exponential(moved[:, 3:]))
+        turn = rotations.multiply(rotations.conjugate(aim), both(motion.quaternion))
+        shift = both(motion.position - self.start.position) - moved[:, :3]
+        return jnp.concatenate([shift / self.scales.length, rotations.logarithm(turn)], 1)
 
     def residual(self, x):
         scene, scales, ramp = self.scene, self.scales, self.ramp
@@ -114,10 +117,7 @@ class StaticEquations(eqx.Module):
         wrench = wrench - left * jnp.concatenate([start.force, start.moment], 1)
         constraint = constraint - left * start.constraint
         wrench = wrench / jnp.repeat(jnp.stack([scales.force, scales.force * scales.length]), 3)
-        both = projectors(scene, self.start.time)
-        for index, projector, gap in zip((0, -1), both, self._gaps(motion), strict=True):
-            row = wrench[index] + projector @ (gap - wrench[index])
-            wrench = wrench.at[index].set(row)
+        wrench = ends.impose(wrench, self._gaps(motion), projectors(scene, self.start.time))
         constraint = jnp.concatenate([x[:1, 3:6], constraint])
         return jnp.concatenate([constraint, wrench], 1)
 
@@ -129,17 +129,17 @@ class StaticEquations(eqx.Module):
             scene.rod, motion.position, motion.quaternion, self.force(x)
         )
         node = load_tangent(scene, motion, self.ramp.factor)
-        first, last = projectors(scene, self.start.time)
-        blocks = balance.assemble(scene.rod, tangent, node, (first, last), scales)
+        both = projectors(scene, self.start.time)
+        blocks = balance.assemble(scene.rod, tangent, node, both, scales)
         nearby = None if scene.contact is None else find_nearby(scene, motion.position)
         coupled = lambda blocks, projectors: CoupledSystem(
             blocks,
             couple(scene, nearby, motion, jnp.zeros_like(scales.force), projectors, scales)[1],
         )
-        system = coupled(blocks, (first, last))
+        system = coupled(blocks, both)
         if not isinstance(scene.first_end, ends.Clamped):
             eye = jnp.eye(6, dtype=x.dtype)
-            other = (eye, jnp.zeros_like(eye))
+            other = jnp.stack([eye, jnp.zeros_like(eye)])
             held = balance.assemble(scene.rod, tangent, node, other, scales)
             system = AnchoredSystem(system, coupled(held, other))
         return system

@@ -102,6 +102,18 @@ def _solve_jvp(primals, tangents):
 
 
 @eqx.filter_custom_jvp
+def solve_linear(equations):
+    """Root of equations residual(x) = A x - `right`, differentiable as `root` is."""
+    return equations.linearize(None).solve(equations.right)
+
+
+@solve_linear.def_jvp
+def _solve_linear_jvp(primals, tangents):
+    x = checkpoint_name(solve_linear(*primals), SOLUTION)
+    return x, _tangent(primals[0], x, tangents[0])
+
+
+@eqx.filter_custom_jvp
 def root(equations, x):
     """The root x of the equations, with its derivative by the implicit function theorem.
 

@@ -8,7 +8,10 @@ are finite at the identity.
 
 import math
 
+import jax
 import jax.numpy as jnp
+import numpy as np
+from jax import lax
 from jaxtyping import Array, Float
 
 # Below this squared angle the series are used: eight terms reach round-off there, and the
@@ -85,6 +88,65 @@ def midframe_slope(squared):
     return _blend(squared, _derivative(_TANGENT)[::-1], closed)
 
 
+def _bilinear(form: np.ndarray, a: Float[Array, "*b j"], b: Float[Array, "*b k"]) -> Array:
+    """sum_jk form[i, j, k] a_j b_k, leading axes broadcast."""
+    size, first, second = form.shape
+    flat = jnp.asarray(form.transpose(1, 0, 2).reshape(first, -1), jnp.result_type(a, b))
+    highest = lax.Precision.HIGHEST  # others round to half precision on accelerators
+    half = jnp.matmul(a, flat, precision=highest).reshape(*a.shape[:-1], size, second)
+    return jnp.einsum("...ik,...k->...i", half, b, precision=highest)
+
+
+def _with_tangent(form: np.ndarray):
+    """Gives a bilinear function of two arrays, written out by components, its derivative.
+
+    Components are the fastest to evaluate, but their derivatives make long programs, slow to
+    compile; those of small products of matrices are a fifth as long.
+    """
+
+    def decorate(function):
+        wrapped = jax.custom_jvp(function)
+
+        @wrapped.defjvp
+        def _tangent(primals, tangents):
+            (a, b), (da, db) = primals, tangents
+            return wrapped(a, b), _bilinear(form, da, b) + _bilinear(form, a, db)
+
+        return wrapped
+
+    return decorate
+
+
+# product of quaternions: rows w, x, y, z
+_PRODUCT = np.zeros((4, 4, 4))
+for _i, _row in enumerate(
+    [
+        [(0, 0, 1), (1, 1, -1), (2, 2, -1), (3, 3, -1)],
+        [(0, 1, 1), (1, 0, 1), (2, 3, 1), (3, 2, -1)],
+        [(0, 2, 1), (1, 3, -1), (2, 0, 1), (3, 1, 1)],
+        [(0, 3, 1), (1, 2, 1), (2, 1, -1), (3, 0, 1)],
+    ]
+):
+    for _j, _k, _sign in _row:
+        _PRODUCT[_i, _j, _k] = _sign
+_CROSS = _PRODUCT[1:, 1:, 1:]  # the vector part of a product of vectors
+# matrix(q) = I + 2 (w hat(v) + v v^T - v.v I): its derivative, symmetric in q and dq
+_TWICE_MATRIX = np.zeros((3, 3, 4, 4))
+_TWICE_MATRIX[:, :, 0, 1:] = _TWICE_MATRIX[:, :, 1:, 0] = 2 * _CROSS.transpose(0, 2, 1)
+_TWICE_MATRIX[:, :, 1:, 1:] = 2 * (
+    np.einsum("ik,jl->ijkl", np.eye(3), np.eye(3))
+    + np.einsum("il,jk->ijkl", np.eye(3), np.eye(3))
+    - 2 * np.einsum("ij,kl->ijkl", np.eye(3), np.eye(3))
+)
+_TWICE_MATRIX = _TWICE_MATRIX.reshape(9, 4, 4)
+
+
+@_with_tangent(_CROSS)
+def cross(a: Float[Array, "*b 3"], b: Float[Array, "*b 3"]) -> Float[Array, "*b 3"]:
+    """a x b."""
+    return jnp.cross(a, b)
+
+
 def hat(vector: Float[Array, "*b 3"]) -> Float[Array, "*b 3 3"]:
     """Skew matrix with hat(a) b = a x b."""
     x, y, z = vector[..., 0], vector[..., 1], vector[..., 2]
@@ -93,6 +155,7 @@ def hat(vector: Float[Array, "*b 3"]) -> Float[Array, "*b 3 3"]:
     return jnp.stack([jnp.stack(row, -1) for row in rows], -2)
 
 
+@_with_tangent(_PRODUCT)
 def multiply(p: Float[Array, "*b 4"], q: Float[Array, "*b 4"]) -> Float[Array, "*b 4"]:
     """Quaternion product p q: rotate by q first, then by p."""
     pw, px, py, pz = (p[..., i] for i in range(4))
@@ -118,6 +181,7 @@ def normalize(q: Float[Array, "*b 4"]) -> Float[Array, "*b 4"]:
     return q / jnp.sqrt(jnp.sum(q * q, -1, keepdims=True))
 
 
+@jax.custom_jvp
 def matrix(q: Float[Array, "*b 4"]) -> Float[Array, "*b 3 3"]:
     """Rotation matrix of a unit quaternion; its columns are the directors a_1, a_2, a_3."""
     w, x, y, z = (q[..., i] for i in range(4))
@@ -129,6 +193,12 @@ def matrix(q: Float[Array, "*b 4"]) -> Float[Array, "*b 3 3"]:
     return jnp.stack([jnp.stack(row, -1) for row in rows], -2)
 
 
+@matrix.defjvp
+def _matrix_tangent(primals, tangents):
+    (q,), (dq,) = primals, tangents
+    return matrix(q), _bilinear(_TWICE_MATRIX, dq, q).reshape(*q.shape[:-1], 3, 3)
+
+
 def tangent_director(q: Float[Array, "*b 4"]) -> Float[Array, "*b 3"]:
     """Third director a_3, the normal of the cross-section, in inertial components."""
     w, x, y, z = (q[..., i] for i in range(4))
@@ -138,8 +208,8 @@ def tangent_director(q: Float[Array, "*b 4"]) -> Float[Array, "*b 3"]:
 def rotate(q: Float[Array, "*b 4"], vector: Float[Array, "*b 3"]) -> Float[Array, "*b 3"]:
     """Body components to inertial components."""
     axis = q[..., 1:]
-    twice = 2 * jnp.cross(axis, vector)
-    return vector + q[..., :1] * twice + jnp.cross(axis, twice)
+    twice = 2 * cross(axis, vector)
+    return vector + q[..., :1] * twice + cross(axis, twice)
 
 
 def rotate_inverse(q: Float[Array, "*b 4"], vector: Float[Array, "*b 3"]) -> Float[Array, "*b 3"]:

@@ -105,7 +105,7 @@ def _accelerations(scene: Scene, motion: NodeMotion, both, prescribed) -> Float[
     if scene.loads:
         wrench = wrench + total_wrench(scene.loads, rod, motion)
     spin = motion.angular_velocity
-    angular = (wrench[:, 3:] - jnp.cross(spin, rotary * spin)) / rotary
+    angular = (wrench[:, 3:] - rotations.cross(spin, rotary * spin)) / rotary
     added = [load.added_mass(rod, motion) for load in scene.loads]
     added = [matrix for matrix in added if matrix is not None]
     if added:
@@ -114,10 +114,7 @@ def _accelerations(scene: Scene, motion: NodeMotion, both, prescribed) -> Float[
     else:
         linear = wrench[:, :3] / mass[:, None]
     free = jnp.concatenate([linear, angular], 1)
-    for index, projector in zip((0, -1), both, strict=True):
-        row = free[index] + projector @ (prescribed[index] - free[index])
-        free = free.at[index].set(row)
-    return free
+    return ends.impose(free, jnp.stack([prescribed[0], prescribed[-1]]), both)
 
 
 def _with_added_mass(mass, added, force, both, prescribed):

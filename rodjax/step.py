@@ -4,6 +4,7 @@ import dataclasses
 from typing import NamedTuple
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 from jax import lax
 from jax.ad_checkpoint import checkpoint_name
@@ -143,14 +144,13 @@ class StepEquations(eqx.Module):
             wrench = wrench.at[:, :3].add(-contact_force)
         scale = jnp.repeat(jnp.stack([scales.force, scales.force * scales.length]), 3)
         wrench = wrench / scale
-        both = projectors(scene, self.state.time)
         unit = jnp.repeat(jnp.stack([scales.length, jnp.ones_like(scales.length)]), 3)
-        for index, end, projector in zip((0, -1), scene.ends, both, strict=True):
-            start = self.state.quaternion[index]
-            prescribed = ends.increments(end, self.state.time, self.stop, start)
-            gap = _gap(increment[index], prescribed) / unit
-            row = wrench[index] + projector @ (gap - wrench[index])
-            wrench = wrench.at[index].set(row)
+        prescribed = [
+            ends.increments(end, self.state.time, self.stop, self.state.quaternion[index])
+            for index, end in zip((0, -1), scene.ends, strict=True)
+        ]
+        gaps = _gap(jnp.stack([increment[0], increment[-1]]), jnp.stack(prescribed)) / unit
+        wrench = ends.impose(wrench, gaps, projectors(scene, self.state.time))
         # the element before node 0 does not exist: its force is a dummy, zero
         constraint = jnp.concatenate([x[:1, 3:6], constraint])
         return jnp.concatenate([constraint, wrench], 1)
@@ -172,8 +172,7 @@ class StepEquations(eqx.Module):
         node = node_tangent(
             scene, motion, acceleration, increment[:, 3:], c.by_velocity, c.by_acceleration
         )
-        both = tuple(projectors(scene, self.state.time))
-        return balance.assemble(rod, tangent, node, both, self.scales)
+        return balance.assemble(rod, tangent, node, projectors(scene, self.state.time), self.scales)
 
     def linearize(self, x) -> CoupledSystem:
         """Derivative of the residual by the increments that `lift` takes."""
@@ -191,7 +190,7 @@ class StepEquations(eqx.Module):
 
     def _contact(self, motion, needed=True) -> tuple[Array | None, Coupling | None]:
         """Contact forces on the nodes [N], and their derivative in the Newton system."""
-        both = tuple(projectors(self.scene, self.state.time))
+        both = projectors(self.scene, self.state.time)
         by_velocity = self.coefficients.by_velocity
         nearby = None if self.nearby is None else self.nearby.only_if(needed)
         return couple(self.scene, nearby, motion, by_velocity, both, self.scales)
@@ -233,12 +232,13 @@ class StepEquations(eqx.Module):
 
 
 def _gap(increment, prescribed):
-    """What an end's increment lacks, the rotation as the body spin still to go."""
+    """What the ends' increments lack, rotations as the body spins still to go."""
     turn = rotations.multiply(
-        rotations.conjugate(rotations.exponential(prescribed[3:])),
-        rotations.exponential(increment[3:]),
+        rotations.conjugate(rotations.exponential(prescribed[:, 3:])),
+        rotations.exponential(increment[:, 3:]),
     )
-    return jnp.concatenate([increment[:3] - prescribed[:3], rotations.logarithm(turn)])
+    shift = increment[:, :3] - prescribed[:, :3]
+    return jnp.concatenate([shift, rotations.logarithm(turn)], 1)
 
 
 def free_balance(scene: Scene, motion: NodeMotion, acceleration, force):
@@ -262,14 +262,19 @@ def node_tangent(scene, motion, acceleration, turn, by_velocity, by_acceleration
     increment for a spin d is J(turn)^-1 d.
     """
     dtype = motion.position.dtype
+    # of a quaternion by a body spin: its products with half of i, j, k
+    units = 0.5 * jnp.eye(4, dtype=dtype)[1:]
+    product = lambda unit: rotations.multiply(
+        motion.quaternion, jnp.broadcast_to(unit, motion.quaternion.shape)
+    )
+    by_spin = jax.vmap(product, out_axes=2)(units)
 
     def wrench(z):
         vector = rotations.tangent_inverse_apply(turn, z[:, 3:])
-        half = jnp.concatenate([jnp.zeros_like(z[:, :1]), 0.5 * z[:, 3:]], 1)
         moved = NodeMotion(
             motion.time,
             motion.position + z[:, :3],
-            motion.quaternion + rotations.multiply(motion.quaternion, half),
+            motion.quaternion + jnp.einsum("nij,nj->ni", by_spin, z[:, 3:]),
             motion.velocity + by_velocity * z[:, :3],
             motion.angular_velocity + by_velocity * vector,
         )

@@ -35,7 +35,7 @@ def solutions(first, last, bent, b):
     tangent = element_tangent(rod, *state)
     node = jnp.zeros((ELEMENTS + 1, 6, 6))
     eye = jnp.eye(6)
-    held = lambda *both: CoupledSystem(assemble(rod, tangent, node, both, scales))
+    held = lambda *both: CoupledSystem(assemble(rod, tangent, node, jnp.stack(both), scales))
     system = AnchoredSystem(held(first, last), held(eye, 0 * eye))
     columns = jnp.eye(b.size).reshape(b.size, *b.shape)
     matrix = jax.vmap(system.multiply)(columns).reshape(b.size, b.size).T

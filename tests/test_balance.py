@@ -104,7 +104,9 @@ def assembled(rod, position, quaternion, force):
     zero = jnp.zeros((6, 6))
     tangent = balance.element_tangent(rod, position, quaternion, force)
     scales = balance.Scales(jnp.asarray(1.0), jnp.asarray(1.0))
-    return balance.assemble(rod, tangent, jnp.zeros((ELEMENTS + 1, 6, 6)), (zero, zero), scales)
+    return balance.assemble(
+        rod, tangent, jnp.zeros((ELEMENTS + 1, 6, 6)), jnp.stack([zero, zero]), scales
+    )
 
 
 @jax.jit
@@ -152,10 +154,10 @@ def test_scales_and_projectors_of_assemble():
     zero = jnp.zeros((6, 6))
     tangent = balance.element_tangent(rod, *configuration)
     plain = balance.Scales(jnp.asarray(1.0), jnp.asarray(1.0))
-    raw = dense(balance.assemble(rod, tangent, node, (zero, zero), plain))
+    raw = dense(balance.assemble(rod, tangent, node, jnp.stack([zero, zero]), plain))
     length, force = 0.3, 7.0
     scales = balance.Scales(jnp.asarray(length), jnp.asarray(force))
-    found = dense(balance.assemble(rod, tangent, node, (zero, slider), scales))
+    found = dense(balance.assemble(rod, tangent, node, jnp.stack([zero, slider]), scales))
     columns = np.tile(np.repeat([length, force, 1.0], 3), ELEMENTS + 1)
     rows = np.tile(np.repeat([1.0, 1 / force, 1 / (force * length)], 3), ELEMENTS + 1)
     expected = rows[:, None] * raw * columns[None, :]
@@ -167,7 +169,7 @@ def test_scales_and_projectors_of_assemble():
     expected[-6:, last] += slider
     np.testing.assert_allclose(found, expected, atol=1e-12 * np.max(np.abs(expected)))
     # the mass matrix in `node` sits on the nodes' own columns
-    without = dense(balance.assemble(rod, tangent, 0 * node, (zero, zero), plain))
+    without = dense(balance.assemble(rod, tangent, 0 * node, jnp.stack([zero, zero]), plain))
     difference = (raw - without).reshape(ELEMENTS + 1, 9, ELEMENTS + 1, 9)
     picked = difference[2, 3:, 2][:, [0, 1, 2, 6, 7, 8]]
     np.testing.assert_allclose(picked, node[2], atol=1e-12)
