@@ -131,7 +131,7 @@ def pair_forces(
     count = largest(near.count)
     skip = lambda _: empty
     # recomputed in a reverse pass: stored block by block, its values fill a hundred arrays
-    again = jax.checkpoint(evaluate)
+    again = jax.checkpoint(evaluate, prevent_cse=False)
     block = lambda _, row: (None, lax.cond(row[0] < count, again, skip, row))
     return _joined(near, joints, lax.scan(block, None, rows)[1])
 
