@@ -6,6 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
+from rodjax import contact_laws as laws
 from rodjax import rotations
 from rodjax.ends import Clamped, Slider, Turn
 from rodjax.loads import MorisonDrag
@@ -84,6 +85,17 @@ def final_state(scene, state, end, count, method):
 
 
 DIAMETER = 0.02
+LAWS = {
+    "damped": laws.DampedInversePower(k1=1e-4, k3=1e-1, reference_spacing=1e-3),
+    "inverse_power": laws.InversePower(strength=1e-2, exponent=3.0),
+    "lennard_jones": laws.LennardJones(energy=1.0, range=0.03),
+    "debye_hueckel": laws.DebyeHueckel(strength=0.1, screening=0.02),
+    "barrier": laws.Barrier(stiffness=1e6),
+    "penalty": laws.Penalty(stiffness=1e6),
+    "damped_penalty": laws.Penalty(stiffness=1e6, relaxation=2e-3),
+}
+"""Laws for strands of this diameter."""
+PAIR = laws.PairProperties(jnp.asarray(DIAMETER), jnp.asarray(0.5))
 
 
 def hairpin(elements=24, half_gap=0.04, tilt=0.003):
