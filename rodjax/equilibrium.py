@@ -1,13 +1,7 @@
-"""Equilibrium of a scene: the step's equations without inertia, reached along a load path.
+"""Equilibrium of a scene, reached along a path of loads (see `statics`).
 
-On the path with parameter p from 0 to 1 the residual is
-
-    inner(x) - p loads(x, t(p)) - (1 - p) inner(x_0) = 0,    t(p) = t_0 + p (t - t_0),
-
-with `inner` the internal forces less those of self-contact, and the ends have moved by what their
-schedules say at t(p). The start x_0 solves it at p = 0 whatever it is; a start that is an
-equilibrium already stays one; a rod placed at rest sees its loads grow from zero. Where Newton's
-method fails the path's step is halved.
+A start that is an equilibrium already stays one; a rod placed at rest sees its loads grow from
+zero. Where Newton's method fails the path's step is halved.
 """
 
 from typing import NamedTuple
@@ -20,19 +14,16 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Float, Int
 
-from rodjax import balance, contact_forces, ends, newton, results, rotations, screening
-from rodjax.anchored import AnchoredSystem
-from rodjax.balance import Internal, Scales
+from rodjax import newton, results, rotations
+from rodjax.balance import Internal
 from rodjax.compilation import compiled
-from rodjax.coupled import CoupledSystem, couple, find_nearby
-from rodjax.inertia import node_jacobian
-from rodjax.loads import DistributedLoad, NodeMotion, total_wrench
+from rodjax.loads import DistributedLoad
 from rodjax.results import Result
 from rodjax.rod import Number
 from rodjax.scene import Scene, projectors
 from rodjax.state import State
+from rodjax.statics import Ramp, StaticEquations, at_rest, static_balance
 
-Factor = Number | Float[Array, ""]
 # How often the path's step may be halved before the path is given up.
 _HALVINGS = 12
 
@@ -45,179 +36,6 @@ class EquilibriumInfo(NamedTuple):
     load_steps: Int[Array, ""]  # accepted steps of the path
     rejected: Int[Array, ""]  # steps that were halved
     reached: Float[Array, ""]  # how far along the path, 1 at its end
-
-
-class Ramp(NamedTuple):
-    """Where on the path: its parameter and what the start was out of balance by."""
-
-    factor: Float[Array, ""]
-    imbalance: Internal
-
-
-class StaticEquations(eqx.Module):
-    """Balance, constraint and ends at rest, in scaled unknowns.
-
-    Row i of x (n+1, 9) holds, for node i, its displacement from `position` over l, the internal
-    force of the element before it over F (none for i = 0), and its rotation vector from
-    `quaternion`. Ends have moved from `start` as their schedules say at `time`, under the
-    constraints in force at the start.
-    """
-
-    scene: Scene
-    start: State
-    position: Float[Array, "nodes 3"]
-    quaternion: Float[Array, "nodes 4"]
-    time: Float[Array, ""]
-    max_rotation: Float[Array, ""]
-    ramp: Ramp
-
-    @property
-    def scales(self) -> Scales:
-        """Mean element length, and a force that makes the bending of an element about 1."""
-        rod = self.scene.rod
-        length = jnp.mean(rod.length)
-        return Scales(length, jnp.mean(rod.stiffness[:, :2]) / length**2)
-
-    def guess(self, force: Float[Array, "n 3"]) -> Float[Array, "nodes 9"]:
-        """x for the reference configuration with an internal force."""
-        before = balance.scatter(jnp.zeros_like(force), force) / self.scales.force
-        zero = jnp.zeros_like(before)
-        return jnp.concatenate([zero, before, zero], 1)
-
-    def force(self, x) -> Float[Array, "n 3"]:
-        """Internal force of the elements [N]."""
-        return x[1:, 3:6] * self.scales.force
-
-    def motion(self, x) -> NodeMotion:
-        """Nodes of the configuration x, at rest."""
-        turn = rotations.exponential(x[:, 6:])
-        position = self.position + x[:, :3] * self.scales.length
-        return at_rest(self.time, position, rotations.multiply(self.quaternion, turn))
-
-    def _gaps(self, motion: NodeMotion) -> Float[Array, "2 6"]:
-        """What the ends lack, scaled: displacement over l, rotation as the body spin to undo."""
-        both = lambda rows: jnp.stack([rows[0], rows[-1]])
-        origin = both(self.start.quaternion)
-        moved = jnp.stack(
-            [
-                ends.increments(end, self.start.time, self.time, quaternion)
-                for end, quaternion in zip(self.scene.ends, origin, strict=True)
-            ]
-        )
-        aim = rotations.multiply(origin, rotations.exponential(moved[:, 3:]))
-        turn = rotations.multiply(rotations.conjugate(aim), both(motion.quaternion))
-        shift = both(motion.position - self.start.position) - moved[:, :3]
-        return jnp.concatenate([shift / self.scales.length, rotations.logarithm(turn)], 1)
-
-    def residual(self, x):
-        scene, scales, ramp = self.scene, self.scales, self.ramp
-        motion = self.motion(x)
-        wrench, constraint = static_balance(scene, motion, self.force(x), ramp.factor)
-        start, left = ramp.imbalance, 1 - ramp.factor
-        wrench = wrench - left * jnp.concatenate([start.force, start.moment], 1)
-        constraint = constraint - left * start.constraint
-        wrench = wrench / jnp.repeat(jnp.stack([scales.force, scales.force * scales.length]), 3)
-        wrench = ends.impose(wrench, self._gaps(motion), projectors(scene, self.start.time))
-        constraint = jnp.concatenate([x[:1, 3:6], constraint])
-        return jnp.concatenate([constraint, wrench], 1)
-
-    def linearize(self, x) -> CoupledSystem | AnchoredSystem:
-        """Derivative of the residual by the increments that `lift` takes."""
-        scene, scales = self.scene, self.scales
-        motion = self.motion(x)
-        tangent = balance.element_tangent(
-            scene.rod, motion.position, motion.quaternion, self.force(x)
-        )
-        node = load_tangent(scene, motion, self.ramp.factor)
-        both = projectors(scene, self.start.time)
-        blocks = balance.assemble(scene.rod, tangent, node, both, scales)
-        nearby = None if scene.contact is None else find_nearby(scene, motion.position)
-        coupled = lambda blocks, projectors: CoupledSystem(
-            blocks,
-            couple(scene, nearby, motion, jnp.zeros_like(scales.force), projectors, scales)[1],
-        )
-        system = coupled(blocks, both)
-        if not isinstance(scene.first_end, ends.Clamped):
-            eye = jnp.eye(6, dtype=x.dtype)
-            other = jnp.stack([eye, jnp.zeros_like(eye)])
-            held = balance.assemble(scene.rod, tangent, node, other, scales)
-            system = AnchoredSystem(system, coupled(held, other))
-        return system
-
-    def newton_increment(self, x, needed=True):
-        """Newton's increment."""
-        return self.linearize(x).solve(-self.residual(x))
-
-    def lift(self, x, dx):
-        """Increment of x for solved increments, whose rotations are body spins."""
-        return dx.at[:, 6:].set(rotations.tangent_inverse_apply(x[:, 6:], dx[:, 6:]))
-
-    def retract(self, x, dx):
-        return x + self.lift(x, dx)
-
-    def overflow(self, x) -> Int[Array, ""]:
-        """A code that tells whether pairs in contact were left out."""
-        if self.scene.contact is None:
-            return jnp.asarray(Result.SUCCESS, jnp.int32)
-        near = find_nearby(self.scene, self.motion(x).position).near
-        return jnp.where(near.overflow, Result.CAPACITY_OVERFLOW, Result.SUCCESS).astype(jnp.int32)
-
-    def limit(self, x, dx):
-        """No node may turn by more than `max_rotation` in an iteration, no strands pass."""
-        largest = jnp.sqrt(jnp.max(jnp.sum(dx[:, 6:] ** 2, 1)))
-        scale = jnp.minimum(1.0, self.max_rotation / jnp.maximum(largest, self.max_rotation))
-        if self.scene.contact is None:
-            return scale
-        position, change = self.motion(x).position, dx[:, :3] * self.scales.length
-        nearby = find_nearby(self.scene, position, change)
-        return jnp.minimum(
-            scale, screening.approach_limit(self.scene.contact, *nearby, position, change)
-        )
-
-    def size(self, dx):
-        """Largest displacement over the rod's length, or rotation [rad]."""
-        shift = jnp.max(jnp.abs(dx[:, :3])) / self.scene.rod.elements
-        return jnp.maximum(shift, jnp.max(jnp.abs(dx[:, 6:])))
-
-
-def at_rest(time, position, quaternion) -> NodeMotion:
-    """Nodes without velocity."""
-    zero = jnp.zeros_like(position)
-    return NodeMotion(time, position, quaternion, zero, zero)
-
-
-def static_balance(
-    scene: Scene, motion: NodeMotion, force: Float[Array, "n 3"], factor: Factor = 1.0
-):
-    """Internal - factor external - contact wrench of every node (n+1, 6), and the constraint."""
-    inner = balance.internal(scene.rod, motion.position, motion.quaternion, force)
-    wrench = jnp.concatenate([inner.force, inner.moment], 1)
-    if scene.loads:
-        wrench = wrench - factor * total_wrench(scene.loads, scene.rod, motion)
-    if scene.contact is not None:
-        pushed = contact_forces.report(scene.contact, scene.rod, motion.position, motion.velocity)
-        wrench = wrench.at[:, :3].add(-pushed.force)
-    return wrench, inner.constraint
-
-
-def load_tangent(
-    scene: Scene, motion: NodeMotion, factor: Factor = 1.0
-) -> Float[Array, "nodes 6 6"]:
-    """Derivative of minus the loads on each node by its displacement and body spin."""
-    zero = jnp.zeros((scene.rod.elements + 1, 6), motion.position.dtype)
-    if not scene.loads:
-        return jnp.zeros((*zero.shape, 6), zero.dtype)
-
-    def wrench(z):
-        return -factor * total_wrench(scene.loads, scene.rod, moved(motion, z))
-
-    return node_jacobian(wrench, zero)
-
-
-def moved(motion: NodeMotion, z: Float[Array, "nodes 6"]) -> NodeMotion:
-    """The motion displaced by z: displacements and body spins."""
-    turned = rotations.multiply(motion.quaternion, rotations.exponential(z[:, 3:]))
-    return motion._replace(position=motion.position + z[:, :3], quaternion=turned)
 
 
 def placing(scene: Scene, time: Number | Float[Array, ""] = 0.0) -> State:
