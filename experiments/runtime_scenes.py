@@ -152,9 +152,9 @@ PROBLEMS = {
         "the example through intertwining",
         intertwining(True),
         until(32.0, 64),
-        (40, 80, 160),
+        (40, 80),
         None,
-        (320, 1),
+        (160, 40),
         writhe=True,
     ),
     "bend": Problem(
