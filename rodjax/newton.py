@@ -133,6 +133,8 @@ def _tangent(equations, x, change):
     if not any(leaf is not None for leaf in jax.tree.leaves(change)):
         return jnp.zeros_like(x)
     _, dr = eqx.filter_jvp(lambda e: e.residual(x), (equations,), (change,))
+    if dr is None:  # what changes has no influence here
+        return jnp.zeros_like(x)
     system = equations.linearize(x)
     dx = lax.custom_linear_solve(
         system.multiply,
