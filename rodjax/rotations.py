@@ -101,7 +101,7 @@ def _with_tangent(form: np.ndarray):
     """Gives a bilinear function of two arrays, written out by components, its derivative.
 
     Components are the fastest to evaluate, but their derivatives make long programs, slow to
-    compile; those of small products of matrices are a fifth as long.
+    compile; those of small products of matrices are much shorter.
     """
 
     def decorate(function):
