@@ -1,10 +1,14 @@
 """Settings of every test: double precision, no implicit rank promotion, no display."""
 
+import gc
 import importlib.metadata
 import os
 
 # the solves are small: LAPACK's threads would only compete with the tests of the other worker
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+# tracing makes many objects that stay: looking through them for garbage takes a quarter of its time
+gc.set_threshold(200_000, 50, 100)
 
 # most of the tests' time is compilation: see rodjax/compilation.py (the flag went with 0.12)
 if tuple(map(int, importlib.metadata.version("jaxlib").split(".")[:2])) < (0, 12):
