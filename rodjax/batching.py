@@ -2,8 +2,9 @@
 
 There a `cond` whose predicate differs from lane to lane runs both branches, and a loop whose length
 differs copies what it carries in every pass. Small loops share the largest of their counts
-(`largest`); the costly parts of contact are done one lane after the other (`one_by_one`), each in
-its own time and in cache, unless no lane is in contact.
+(`largest`), rare work is done if any lane needs it (`only_where`), and the costly parts of contact
+one lane after the other (`one_by_one`), each in its own time and in cache, unless no lane is in
+contact.
 """
 
 from collections.abc import Callable
@@ -11,7 +12,7 @@ from collections.abc import Callable
 import jax
 import jax.numpy as jnp
 from jax import lax
-from jaxtyping import Array, Int
+from jaxtyping import Array, Bool, Int
 
 
 @jax.custom_batching.custom_vmap
@@ -23,6 +24,19 @@ def largest(count: Int[Array, ""]) -> Int[Array, ""]:
 @largest.def_vmap
 def _largest_of_batch(axis_size, in_batched, count):
     return (jnp.max(count), False) if in_batched[0] else (count, False)
+
+
+def only_where(needed: Bool[Array, ""], function: Callable, otherwise: Callable, operand):
+    """`function` of the operand where needed, else `otherwise`, as by `lax.cond`.
+
+    Under `vmap` the function is not evaluated unless some lane needs it.
+    """
+
+    def some(operand):
+        pick = lambda one, other: jnp.where(needed, one, other)
+        return jax.tree.map(pick, function(operand), otherwise(operand))
+
+    return lax.cond(largest(needed.astype(jnp.int32)) > 0, some, otherwise, operand)
 
 
 def one_by_one(function: Callable, easy: tuple[Callable, Callable] | None = None) -> Callable:

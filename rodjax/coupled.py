@@ -17,7 +17,7 @@ from jaxtyping import Array, Bool, Float
 from rodjax.balance import Scales
 from rodjax.batching import one_by_one
 from rodjax.block_tridiagonal import BlockTridiagonal, Factors
-from rodjax.contact import Level, Sites, interpolate, levels, sites, spread
+from rodjax.contact import Contact, Level, Sites, interpolate, levels, sites, spread
 from rodjax.contact_forces import forces_and_derivative, gather, joints_of
 from rodjax.loads import NodeMotion
 from rodjax.scene import Scene
@@ -29,12 +29,6 @@ class Nearby(NamedTuple):
 
     where: Sites
     near: Near
-
-    def only_if(self, needed: bool | Bool[Array, ""]) -> "Nearby":
-        """No pairs where contact is not needed, which saves the time of it."""
-        none = lambda count: jnp.where(needed, count, 0)
-        near = self.near
-        return self._replace(near=near._replace(count=none(near.count), level=none(near.level)))
 
 
 def find_nearby(scene: Scene, position: Float[Array, "nodes 3"], displacement=None) -> Nearby:
@@ -109,7 +103,7 @@ class Coupling(eqx.Module):
 
 
 def couple(
-    scene: Scene,
+    contact: Contact | None,
     nearby: Nearby | None,
     motion: NodeMotion,
     by_velocity: Float[Array, ""],
@@ -120,7 +114,6 @@ def couple(
 
     Velocities follow positions by the factor `by_velocity`. (None, None) without contact.
     """
-    contact = scene.contact
     if contact is None or nearby is None:
         return None, None
     where, near = nearby
@@ -160,10 +153,6 @@ class CoupledSystem(eqx.Module):
             return _solve_columns(self.blocks.factorize(), b)
         return _solve_shared(self, b)
 
-    def solve_once(self, b: Float[Array, "nodes 9"]) -> Float[Array, "nodes 9"]:
-        """Solution of the system, in less time where nothing is in contact."""
-        return self.blocks.solve(b) if self.coupling is None else _solve_once(self, b)
-
     def solve_transpose(self, b: Float[Array, "nodes 9"]) -> Float[Array, "nodes 9"]:
         """Solution of the transposed system."""
         return self.transpose().solve(b)
@@ -174,8 +163,18 @@ class CoupledSystem(eqx.Module):
         return product if self.coupling is None else product + self.coupling.multiply(b)
 
 
-def _solve(system: CoupledSystem, b, apart):
-    """Solution, by the smallest solver that holds the joints in contact, or by `apart`."""
+def _solve(system: CoupledSystem, b):
+    coupling = system.coupling
+    assert coupling is not None
+    return lax.cond(coupling.near.level > 0, _touching, _apart, system, b)
+
+
+def _apart(system: CoupledSystem, b):
+    return _solve_columns(system.blocks.factorize(), b)
+
+
+def _touching(system: CoupledSystem, b):
+    """Solution, by the smallest solver that holds the joints in contact."""
     coupling = system.coupling
     assert coupling is not None
 
@@ -183,19 +182,7 @@ def _solve(system: CoupledSystem, b, apart):
         return lambda b, factors: _solve_coupled(factors, coupling, level, b)
 
     branches = [some(level) for level in coupling.levels]
-
-    def touching(b):
-        return lax.switch(coupling.near.level - 1, branches, b, system.blocks.factorize())
-
-    return lax.cond(coupling.near.level > 0, touching, lambda b: apart(system, b), b)
-
-
-def _apart(system: CoupledSystem, b):
-    return _solve_columns(system.blocks.factorize(), b)
-
-
-def _apart_once(system: CoupledSystem, b):
-    return system.blocks.solve(b)
+    return lax.switch(coupling.near.level - 1, branches, b, system.blocks.factorize())
 
 
 def _not_touching(system: CoupledSystem, b):
@@ -203,10 +190,57 @@ def _not_touching(system: CoupledSystem, b):
     return system.coupling.near.level == 0
 
 
-_solve_shared = one_by_one(lambda system, b: _solve(system, b, _apart), (_not_touching, _apart))
-_solve_once = one_by_one(
-    lambda system, b: _solve(system, b, _apart_once), (_not_touching, _apart_once)
-)
+_solve_shared = one_by_one(_solve, (_not_touching, _apart))
+
+
+class Touching(NamedTuple):
+    """A Newton system and residual still without contact, and what contact adds to them."""
+
+    blocks: BlockTridiagonal
+    residual: Float[Array, "nodes 9"]
+    contact: Contact
+    nearby: Nearby
+    motion: NodeMotion
+    by_velocity: Float[Array, ""]
+    projectors: Float[Array, "2 6 6"]
+    scales: Scales
+    needed: Bool[Array, ""]  # otherwise any finite increment will do
+
+
+def increment(given: Touching) -> Float[Array, "nodes 9"]:
+    """Newton's increment with contact: forces and their derivative in time that follows the pairs.
+
+    Where nothing is near, nothing of contact is evaluated. Without derivative.
+    """
+    return _increment(given)
+
+
+def _increment_of_one(given: Touching):
+    near = given.nearby.near
+    case = jnp.where(given.needed, jnp.where(near.level > 0, 2, 1), 0)
+    nothing = lambda given: jnp.zeros_like(given.residual)
+    return lax.switch(case, [nothing, _increment_apart, _increment_touching], given)
+
+
+def _increment_apart(given: Touching):
+    return given.blocks.solve(-given.residual)
+
+
+def _increment_touching(given: Touching):
+    contact, nearby, scales = given.contact, given.nearby, given.scales
+    push, coupling = couple(
+        contact, nearby, given.motion, given.by_velocity, given.projectors, scales
+    )
+    assert push is not None and coupling is not None
+    right = jnp.einsum("jrk,jk->jr", coupling.left, push / scales.force) - given.residual
+    return _touching(CoupledSystem(given.blocks, coupling), right)
+
+
+def _increment_easy(given: Touching):
+    return (given.nearby.near.level == 0) | ~given.needed
+
+
+_increment = one_by_one(_increment_of_one, (_increment_easy, _increment_apart))
 
 
 def _solve_columns(factors: Factors, b: Float[Array, "nodes 9"]) -> Float[Array, "nodes 9"]:

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
-from rodjax.batching import largest
+from rodjax.batching import largest, only_where
 from rodjax.contact import Contact, Sites, interpolate, levels
 from rodjax.contact_laws import PairProperties
 
@@ -39,11 +39,6 @@ def _norm(components):
     return jnp.sqrt(sum(c**2 for c in components))
 
 
-def _middles(where: Sites, nodal) -> Float[Array, "g 3"]:
-    joints = lax.stop_gradient(interpolate(where, nodal))
-    return 0.5 * (joints[1:] + joints[:-1])
-
-
 def search(
     contact: Contact,
     where: Sites,
@@ -56,59 +51,87 @@ def search(
     half times a pair's relative displacement, so that no strand tunnels between two searches.
     No derivative passes through.
     """
-    contact, where = lax.stop_gradient((contact, where))
+    contact, where, position, displacement = lax.stop_gradient(
+        (contact, where, position, displacement)
+    )
+    sizes = levels(contact, position.shape[0] - 1)
     # a segment's points lie within this of its middle, so a pair's within twice of the line
     half = 0.5 * where.spacing * (contact.points_per_segment - 1)
-    joints = lax.stop_gradient(interpolate(where, position))
-    chord = joints[1:] - joints[:-1]
-    chord = chord / jnp.sqrt(jnp.sum(chord**2, 1, keepdims=True))
-    r = _separations(0.5 * (joints[1:] + joints[:-1]))
-    distance = _norm(r)
-    motion = jnp.zeros((), distance.dtype)
+    joints = interpolate(where, position)
+    middles = 0.5 * (joints[1:] + joints[:-1])
+    moved = None
     if displacement is not None:
-        motion = 1.5 * _norm(_separations(_middles(where, displacement)))
-    # inside an aperture: |r.t| cos(theta/2) <= |r - (r.t) t| sin(theta/2), each within the slack
-    cosine, sine = jnp.cos(0.5 * contact.aperture), jnp.sin(0.5 * contact.aperture)
-
-    def inside(t):
-        along = jnp.abs(sum(rk * tk for rk, tk in zip(r, t, strict=True)))
-        across = jnp.sqrt(jnp.maximum(distance**2 - along**2, 0.0))
-        return along * cosine <= across * sine + 2 * half + motion
-
+        moved = interpolate(where, displacement)
+        moved = 0.5 * (moved[1:] + moved[:-1])
     s = jnp.mean(where.arc_length, 1)
     segment = jnp.arange(contact.segments)
-    near = (distance < contact.cutoff + motion + 2 * half) & (segment[:, None] < segment[None, :])
-    near = near & (jnp.abs(s[:, None] - s[None, :]) + 2 * half >= contact.excluded)
-    near = near & inside([chord[:, None, k] for k in range(3)])
-    near = near & inside([chord[None, :, k] for k in range(3)])
-    sizes = levels(contact, position.shape[0] - 1)
-    capacity = sizes[-1].pairs
+    once = (segment[:, None] < segment[None, :]) & (
+        jnp.abs(s[:, None] - s[None, :]) + 2 * half >= contact.excluded
+    )
 
-    def pick(near):
-        first, second = jnp.nonzero(near, size=capacity, fill_value=0)
-        return first.astype(jnp.int32), second.astype(jnp.int32), jnp.sum(near).astype(jnp.int32)
+    def pairs():
+        """Which pairs are near, by the reach and the apertures of each."""
+        chord = joints[1:] - joints[:-1]
+        chord = chord / jnp.sqrt(jnp.sum(chord**2, 1, keepdims=True))
+        r = _separations(middles)
+        distance = _norm(r)
+        motion = 0.0 if moved is None else 1.5 * _norm(_separations(moved))
+        # inside an aperture: |r.t| cos(theta/2) <= |r - (r.t) t| sin(theta/2), within the slack
+        cosine, sine = jnp.cos(0.5 * contact.aperture), jnp.sin(0.5 * contact.aperture)
 
-    none = jnp.zeros((capacity,), jnp.int32)
-    nothing = (none, none, jnp.asarray(0, jnp.int32))
-    some = largest(jnp.any(near).astype(jnp.int32)) > 0
-    first, second, count = lax.cond(some, pick, lambda _: nothing, near)
+        def inside(t):
+            along = jnp.abs(sum(rk * tk for rk, tk in zip(r, t, strict=True)))
+            across = jnp.sqrt(jnp.maximum(distance**2 - along**2, 0.0))
+            return along * cosine <= across * sine + 2 * half + motion
+
+        near = once & (distance < contact.cutoff + motion + 2 * half)
+        near = near & inside([chord[:, None, k] for k in range(3)])
+        return near & inside([chord[None, :, k] for k in range(3)])
+
+    def some():
+        return _listed(pairs(), sizes, where, position.shape[0])
+
+    def none():
+        return _listed(None, sizes, where, position.shape[0])
+
+    # most steps end here: nothing within the widest reach of all
+    reach = contact.cutoff + 2 * half
+    if moved is not None:
+        reach = reach + 3.0 * jnp.sqrt(jnp.max(jnp.sum(moved**2, 1)))
+    squared = sum(c**2 for c in _separations(middles))
+    maybe = jnp.any(once & (squared < reach**2))
+    return lax.cond(largest(maybe.astype(jnp.int32)) > 0, some, none)
+
+
+def _listed(near: Bool[Array, "g g"] | None, sizes, where: Sites, nodes: int) -> Near:
+    """The list of the near pairs, or of none, and what they involve."""
+    capacity, joints = sizes[-1].pairs, where.weight.shape[0]
+    if near is None:
+        no_pair, zero = jnp.zeros((capacity,), jnp.int32), jnp.asarray(0, jnp.int32)
+        every = jnp.arange(joints, dtype=jnp.int32)
+        node = None if sizes[-1].nodes is None else jnp.arange(nodes, dtype=jnp.int32)
+        return Near(no_pair, no_pair, zero, every, every, node, zero, jnp.asarray(False))
+    first, second = (
+        index.astype(jnp.int32) for index in jnp.nonzero(near, size=capacity, fill_value=0)
+    )
+    count = jnp.sum(near).astype(jnp.int32)
     segments = jnp.any(near, 0) | jnp.any(near, 1)
-    involved = jnp.zeros((contact.segments + 1,), bool).at[:-1].set(segments)
+    involved = jnp.zeros((joints,), bool).at[:-1].set(segments)
     involved = involved | jnp.roll(involved, 1)
-    order, rank, joints = _first(involved)
-    fits = (joints <= jnp.asarray([size.joints for size in sizes])) & (
+    order, rank, involving = _first(involved)
+    fits = (involving <= jnp.asarray([size.joints for size in sizes])) & (
         count <= jnp.asarray([size.pairs for size in sizes])
     )
-    nodes = None
+    node = None
     if sizes[-1].nodes is not None:
-        between = jnp.zeros(position.shape[:1], jnp.int32).at[where.nodes]
+        between = jnp.zeros((nodes,), jnp.int32).at[where.nodes]
         between = between.add(involved[:, None] & (where.weight != 0)) > 0
-        nodes, _, count_nodes = _first(between)
+        node, _, count_nodes = _first(between)
         fits = fits & (count_nodes <= jnp.asarray([size.nodes for size in sizes]))
     overflow = ~fits[-1]
     level = jnp.where(overflow, len(sizes), jnp.argmax(fits) + 1)
     level = jnp.where(count == 0, 0, level).astype(jnp.int32)
-    return Near(first, second, jnp.minimum(count, capacity), order, rank, nodes, level, overflow)
+    return Near(first, second, jnp.minimum(count, capacity), order, rank, node, level, overflow)
 
 
 def _first(chosen: Bool[Array, " k"]) -> tuple[Int[Array, " k"], Int[Array, " k"], Int[Array, ""]]:
@@ -175,7 +198,16 @@ def passage_suspected(
     moment when the point common to their lines lies on both: that moment and point are found on
     the straight ways of the joints. A slow passage is seen as well as a fast one.
     """
-    old, new = (lax.stop_gradient(interpolate(where, x)) for x in (before, after))
+
+    def crossed(positions):
+        return jnp.any(_crossings(near, *(interpolate(where, x) for x in positions)))
+
+    positions = lax.stop_gradient((before, after))
+    return only_where(near.count > 0, crossed, lambda _: jnp.asarray(False), positions)
+
+
+def _crossings(near: Near, old: Float[Array, "j 3"], new: Float[Array, "j 3"]) -> Bool[Array, " q"]:
+    """Which pairs crossed while their joints moved straight from old to new."""
     valid = jnp.arange(near.first.shape[0]) < near.count
 
     def chords(x):
@@ -207,4 +239,4 @@ def passage_suspected(
     askew = determinant > 1e4 * jnp.finfo(old.dtype).eps * product
     apart = near.second - near.first > 1
     crossed = (start * end < 0) & inside(on_first) & inside(on_second) & askew & apart
-    return jnp.any(crossed & valid)
+    return crossed & valid

@@ -115,7 +115,9 @@ class StaticEquations(eqx.Module):
         nearby = None if scene.contact is None else find_nearby(scene, motion.position)
         coupled = lambda blocks, projectors: CoupledSystem(
             blocks,
-            couple(scene, nearby, motion, jnp.zeros_like(scales.force), projectors, scales)[1],
+            couple(scene.contact, nearby, motion, jnp.zeros_like(scales.force), projectors, scales)[
+                1
+            ],
         )
         system = coupled(blocks, both)
         if not isinstance(scene.first_end, ends.Clamped):

@@ -10,10 +10,11 @@ from jax import lax
 from jax.ad_checkpoint import checkpoint_name
 from jaxtyping import Array, Bool, Float, Int
 
-from rodjax import balance, contact_forces, ends, newton, rotations, screening
+from rodjax import balance, contact_forces, coupled, ends, newton, rotations, screening
 from rodjax.balance import Scales
+from rodjax.batching import only_where
 from rodjax.consistency import project
-from rodjax.coupled import CoupledSystem, Coupling, Nearby, couple, find_nearby
+from rodjax.coupled import CoupledSystem, Nearby, couple, find_nearby
 from rodjax.generalized_alpha import (
     GeneralizedAlpha,
     advance,
@@ -178,22 +179,33 @@ class StepEquations(eqx.Module):
         """Derivative of the residual by the increments that `lift` takes."""
         motion, acceleration, increment = self.motion(x)
         blocks = self._blocks(x, motion, acceleration, increment)
-        return CoupledSystem(blocks, self._contact(motion)[1])
+        both, by_velocity = projectors(self.scene, self.state.time), self.coefficients.by_velocity
+        _, coupling = couple(
+            self.scene.contact, self.nearby, motion, by_velocity, both, self.scales
+        )
+        return CoupledSystem(blocks, coupling)
 
     def newton_increment(self, x, needed=True):
         """Newton's increment, contact forces and their derivative evaluated once."""
         motion, acceleration, increment = self.motion(x)
         blocks = self._blocks(x, motion, acceleration, increment)
-        push, coupling = self._contact(motion, needed)
-        residual = self._balance(x, motion, acceleration, increment, push)
-        return CoupledSystem(blocks, coupling).solve_once(-residual)
-
-    def _contact(self, motion, needed=True) -> tuple[Array | None, Coupling | None]:
-        """Contact forces on the nodes [N], and their derivative in the Newton system."""
-        both = projectors(self.scene, self.state.time)
-        by_velocity = self.coefficients.by_velocity
-        nearby = None if self.nearby is None else self.nearby.only_if(needed)
-        return couple(self.scene, nearby, motion, by_velocity, both, self.scales)
+        residual = self._balance(x, motion, acceleration, increment, None)
+        if self.nearby is None:
+            return blocks.solve(-residual)
+        assert self.scene.contact is not None
+        return coupled.increment(
+            coupled.Touching(
+                blocks,
+                residual,
+                self.scene.contact,
+                self.nearby,
+                motion,
+                self.coefficients.by_velocity,
+                projectors(self.scene, self.state.time),
+                self.scales,
+                jnp.asarray(needed),
+            )
+        )
 
     def lift(self, x, dx):
         """Increment of x for solved increments, whose rotations are body spins."""
@@ -314,7 +326,7 @@ def step(
     stop = jnp.asarray(stop, state.time.dtype)
     if not scene.switch_times:
         return advance_to(scene, state, stop, method)
-    state, loss = lax.cond(
+    state, loss = only_where(
         switching(scene, state),
         lambda s: begin_constraint(scene, s, project),
         lambda s: (s, jnp.zeros_like(s.time)),

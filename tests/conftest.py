@@ -7,15 +7,15 @@ import os
 # the solves are small: LAPACK's threads would only compete with the tests of the other worker
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-# tracing makes many objects that stay: looking through them for garbage takes a quarter of its time
-gc.set_threshold(200_000, 50, 100)
-
 # most of the tests' time is compilation: see rodjax/compilation.py (the flag went with 0.12)
 if tuple(map(int, importlib.metadata.version("jaxlib").split(".")[:2])) < (0, 12):
     flags = os.environ.get("XLA_FLAGS", "")
     os.environ["XLA_FLAGS"] = f"{flags} --xla_cpu_use_fusion_emitters=false".strip()
 
 import jax
+
+# tracing makes many objects that stay: looking through them for garbage takes a quarter of its time
+gc.set_threshold(200_000, 50, 100)
 
 os.environ.setdefault("MPLBACKEND", "Agg")
 

@@ -141,26 +141,35 @@ def test_batches_of_right_sides_and_of_systems(bent):
     right = jnp.asarray(np.random.default_rng(1).normal(size=(2, state.position.shape[0], 9)))
 
     @jax.jit
-    def system(state):
+    def equations(state):
         nearby = find_nearby(scene, state.position)
-        equations = StepEquations(scene, state, jnp.asarray(1e-3), jnp.asarray(0.5), nearby)
-        return equations.linearize(equations.guess())
+        return StepEquations(scene, state, jnp.asarray(1e-3), jnp.asarray(0.5), nearby)
+
+    system = lambda state: equations(state).linearize(equations(state).guess())
+
+    def increment(state, needed=True):
+        return equations(state).newton_increment(equations(state).guess(), needed)
+
+    def close(found, expected):
+        np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-12)
 
     one = system(state)
     assert int(one.coupling.near.level) > 0 and int(system(apart).coupling.near.level) == 0
     alone = [one.solve(b) for b in right]
-    np.testing.assert_allclose(jax.vmap(one.solve)(right), jnp.stack(alone), rtol=1e-9, atol=1e-12)
-    found = jax.jit(jax.vmap(lambda s, b: system(s).solve_once(b)))(both, right)
-    np.testing.assert_allclose(found[0], alone[0], rtol=1e-9, atol=1e-12)
-    np.testing.assert_allclose(found[1], system(apart).solve(right[1]), rtol=1e-9, atol=1e-12)
+    close(jax.vmap(one.solve)(right), jnp.stack(alone))
     # several right sides of several systems
     grid = jax.jit(jax.vmap(lambda s: jax.vmap(system(s).solve)(right)))(both)
-    np.testing.assert_allclose(grid[0], jnp.stack(alone), rtol=1e-9, atol=1e-12)
-    # no lane in contact: all together
+    close(grid[0], jnp.stack(alone))
+    close(grid[1], jnp.stack([system(apart).solve(b) for b in right]))
+    # Newton's increments, by the solver of their own and, if none is in contact, together
+    expected = jnp.stack([increment(state), increment(apart)])
+    found = jax.jit(jax.vmap(increment))(both)
+    close(found, expected)
     easy = jax.tree.map(lambda leaf: jnp.stack([leaf, leaf]), apart)
-    found = jax.jit(jax.vmap(lambda s, b: system(s).solve_once(b)))(easy, right)
-    expected = jnp.stack([system(apart).solve(b) for b in right])
-    np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-12)
+    close(jax.jit(jax.vmap(increment))(easy), expected[jnp.asarray([1, 1])])
+    # a lane that has ended takes none
+    found = jax.jit(jax.vmap(increment))(both, jnp.asarray([True, False]))
+    close(found, expected.at[1].set(0.0))
 
 
 def test_joints_lie_on_the_curve_through_the_nodes():
