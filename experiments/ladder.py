@@ -4,7 +4,7 @@
 
 Each rung adds one part to the rung before. For each, the operations in the traced program of a
 step, the time to compile a rollout and the time of a warm step are measured. Below the ladder: what
-it saves to leave inertia out, and what it would to hold Newton's matrix through a step. Writes
+it saves to leave inertia out, and to hold Newton's derivative within a step. Writes
 DIR/ladder.md, DIR/ladder.png and DIR/summary.json.
 """
 
@@ -19,7 +19,6 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import _settings  # noqa: F401 (first)
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import matplotlib.pyplot as plt
@@ -153,73 +152,70 @@ def measured(rung: Rung, count: int, repeats: int, static: bool = False) -> dict
     }
 
 
-@eqx.filter_jit
-def _both_iterations(scene: rx.Scene, state: rx.State, stop):
-    """Iterations of one step by Newton's method, and with the matrix of the step's guess."""
-    nearby = None
-    method = rx.GeneralizedAlpha()
-    equations = StepEquations(scene, state, stop, method.spectral_radius)
-    if scene.contact is not None:
+@compiled
+def _equations(scene: rx.Scene, state: rx.State, stop, near: bool) -> StepEquations:
+    """The equations of a step, with the pairs near each other or without contact."""
+    radius = rx.GeneralizedAlpha().spectral_radius
+    equations = StepEquations(scene, state, stop, radius)
+    if near:
         expected = equations.increment(equations.guess())[:, :3]
-        nearby = find_nearby(scene, state.position, expected)
-        equations = dataclasses.replace(equations, nearby=nearby)
-    guess = equations.limited(equations.guess())
-    tolerance = method.newton_tolerance(state.position.dtype)
-    _, solved = newton.iterate(equations, guess, tolerance, method.max_iterations)
-    _, held = newton.iterate(_Held(equations, guess), guess, tolerance, 50)
-    converged = (solved.result == 0) & (held.result == 0)
-    return jnp.where(converged, solved.iterations, -1), held.iterations
+        equations = dataclasses.replace(
+            equations, nearby=find_nearby(scene, state.position, expected)
+        )
+    return equations
 
 
-class _Held(eqx.Module):
-    """Equations of a step whose matrix stays that of the guess (a frozen Jacobian)."""
+def _iteration(by):
+    """A step's iteration by a function of `newton`."""
 
-    equations: StepEquations
-    guess: jax.Array
+    def root(equations):
+        method, guess = rx.GeneralizedAlpha(), equations.limited(equations.guess())
+        return by(equations, guess, method.newton_tolerance(guess.dtype), method.max_iterations)[1]
 
-    def __getattr__(self, name):
-        return getattr(self.equations, name)
-
-    def newton_increment(self, x, needed=True):
-        return self.equations.linearize(self.guess).solve(-self.equations.residual(x))
+    return compiled(root)
 
 
-def held_matrix(elements: int, until: float, sample: int) -> dict[str, Any]:
-    """What a matrix held through each step would save over the whole example, and what it costs."""
+def held_derivative(elements: int, until: float, sample: int, repeats: int) -> dict[str, Any]:
+    """What it costs to hold the derivative within a step, over that of a new one each iteration.
+
+    Over every so many steps of the example, those with pairs near each other apart from the rest.
+    """
     whole = scene(PRESET, elements)
     control = rx.StepControl(*PRESET.tolerances, PRESET.max_step)
     run = rx.adaptive_rollout(whole, rx.start(whole), until, control=control)
-    counts = []
+    ways = {"new": _iteration(newton.iterate), "held": _iteration(newton.iterate_held)}
+    counts = {near: {way: [] for way in ways} for near in (False, True)}
+    seconds = {near: dict.fromkeys(ways, 0.0) for near in (False, True)}
+    failed = 0
     for k in range(1, len(run.times) - 1, sample):
-        pair = _both_iterations(whole, run.state(k), run.times[k + 1])
-        counts.append([int(count) for count in pair])
-    counts = np.asarray(counts)
-    good = counts[:, 0] > 0
-    return {
-        "steps": len(counts),
-        "failed_with_held_matrix": int(np.sum(~good)),
-        "newton_iterations": float(np.mean(counts[good, 0])),
-        "held_iterations": float(np.mean(counts[good, 1])),
-    }
-
-
-def iteration_cost(elements: int, repeats: int) -> float:
-    """An iteration with a factorised matrix, over a whole one, where nothing touches."""
-    free = scene(PRESET, elements, contact=False)
-    state = rx.start(free)
-    equations = StepEquations(free, state, state.time + STEP, jnp.asarray(0.5))
-    guess = equations.guess()
-    whole = compiled(lambda e, x: e.newton_increment(x))
-    held = compiled(lambda e, x, factors: factors.solve(-e.residual(x)[:, :, None])[:, :, 0])
-    factors = compiled(lambda e, x: e.linearize(x).blocks.factorize())(equations, guess)
-    jobs = (lambda: whole(equations, guess), lambda: held(equations, guess, factors))
-    seconds: tuple[list[float], list[float]] = ([], [])
-    for _ in range(20 * repeats):
-        for job, found in zip(jobs, seconds, strict=True):
-            began = time.perf_counter()
-            jax.block_until_ready(job())
-            found.append(time.perf_counter() - began)
-    return statistics.median(seconds[1][5:]) / statistics.median(seconds[0][5:])
+        state, stop = run.state(k), run.times[k + 1]
+        equations = _equations(whole, state, stop, True)
+        nearby = equations.nearby
+        assert nearby is not None
+        near = bool(nearby.near.count > 0)
+        if not near:
+            equations = _equations(whole, state, stop, False)
+        infos = {way: jax.block_until_ready(solve(equations)) for way, solve in ways.items()}
+        if any(int(info.result) for info in infos.values()):
+            failed += 1
+            continue
+        trials = {way: [] for way in ways}
+        for _ in range(repeats):
+            for way, solve in ways.items():
+                began = time.perf_counter()
+                jax.block_until_ready(solve(equations))
+                trials[way].append(time.perf_counter() - began)
+        for way, info in infos.items():
+            counts[near][way].append(int(info.iterations))
+            seconds[near][way] += statistics.median(trials[way])
+    found: dict[str, Any] = {"failed": failed}
+    for near, name in ((False, "apart"), (True, "near")):
+        steps = len(counts[near]["new"])
+        found[name] = {"steps": steps}
+        if steps:
+            found[name] |= {f"iterations_{way}": float(np.mean(counts[near][way])) for way in ways}
+            found[name]["ratio"] = seconds[near]["held"] / seconds[near]["new"]
+    return found
 
 
 def table(rows: list[dict[str, Any]]) -> str:
@@ -283,19 +279,22 @@ def main(argv=None) -> int:
     for rung in jobs:
         rows.append(measured(rung, count, options.repeats, static=rung is ladder[0]))
         print(table(rows).splitlines()[-1], flush=True)
-    held = held_matrix(options.elements, 1.0 if options.quick else 32.0, 4)
-    held["cost_of_held_iteration"] = iteration_cost(options.elements, options.repeats)
-    print(
-        f"matrix held through a step: {held['held_iterations']:.1f} iterations for"
-        f" {held['newton_iterations']:.1f}, each at {held['cost_of_held_iteration']:.2f} of the"
-        f" cost; {held['failed_with_held_matrix']} of {held['steps']} steps failed with it"
-    )
+    until = 1.0 if options.quick else 32.0
+    held = held_derivative(options.elements, until, 4, options.repeats)
+    for name in ("apart", "near"):
+        found = held[name]
+        if found["steps"]:
+            print(
+                f"derivative held, {found['steps']} steps with pairs {name}:"
+                f" {found['iterations_held']:.1f} iterations for {found['iterations_new']:.1f},"
+                f" {found['ratio']:.2f} of the time ({held['failed']} steps failed)"
+            )
     summary = {
         "elements": options.elements,
         "steps_timed": count,
         "repeats": options.repeats,
         "rows": rows,
-        "held_matrix": held,
+        "held_derivative": held,
     }
     (options.out / "ladder.md").write_text(table(rows))
     (options.out / "summary.json").write_text(json.dumps(summary, indent=2) + "\n")

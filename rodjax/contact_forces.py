@@ -157,7 +157,6 @@ def _blocks(contact, where, near, joints, velocities, by_velocity):
     one, other = jnp.broadcast_arrays(part[:, None], part[None, :])
     # x_b - x_a = sum_i mix[a, b, i] X_i over the four joints
     mix = jnp.stack([one - 1, -one, 1 - other, other], -1).astype(joints.dtype)
-    products = (mix[..., :, None] * mix[..., None, :]).reshape(count * count, 16)
     index = jnp.stack(joints_of(near), 1)
     capacity = index.shape[0]
     padded = -(-capacity // BLOCK) * BLOCK
@@ -199,26 +198,24 @@ def _blocks(contact, where, near, joints, velocities, by_velocity):
         if by_velocity is None:
             p, h = jnp.where(acts, magnitude(*inputs), 0.0), None
         else:
-            p, pull = jax.vjp(magnitude, *inputs)
-            p_d, p_c, p_a, p_b = (jnp.where(acts, g, 0.0) for g in pull(jnp.ones_like(p)))
-            p = jnp.where(acts, p, 0.0)
-            g = (p_d - by_velocity * p_c) * n + (
-                p_a * (ta - cosine_a * n) + p_b * (tb - cosine_b * n) - p_c * (w - opening * n)
-            ) / distance
-            over = p / distance
-            size_a, size_b = lengths[:, 0, None, None], lengths[:, 1, None, None]
-            by_chord = (p_a * (n - cosine_a * ta) / size_a, p_b * (n - cosine_b * tb) / size_b)
-            # without the barrier XLA evaluates the above anew for each of the nine components
-            n_, g, over, by_chord = lax.optimization_barrier((n, g - over * n, over, by_chord))
-            eye = jnp.eye(3, dtype=p.dtype)[:, :, None, None, None]
-            h = n_[:, None] * g[None, :] + over * eye
-            h = jnp.einsum("klqx,xi->qikl", h.reshape(3, 3, BLOCK, -1), products)
-            h = h.reshape(BLOCK, 4, 4, 3, 3)
-            turned = [
-                jnp.einsum("klqab,abi->qikl", n_[:, None] * by[None, :], mix) for by in by_chord
-            ]
-            ends = jnp.stack([-turned[0], turned[0], -turned[1], turned[1]], 2)
-            h = -(h + ends)
+
+            def slopes():
+                p, pull = jax.vjp(magnitude, *inputs)
+                p_d, p_c, p_a, p_b = (jnp.where(acts, g, 0.0) for g in pull(jnp.ones_like(p)))
+                p = jnp.where(acts, p, 0.0)
+                g = (p_d - by_velocity * p_c) * n + (
+                    p_a * (ta - cosine_a * n) + p_b * (tb - cosine_b * n) - p_c * (w - opening * n)
+                ) / distance
+                over = p / distance
+                size_a, size_b = lengths[:, 0, None, None], lengths[:, 1, None, None]
+                by_a, by_b = p_a * (n - cosine_a * ta) / size_a, p_b * (n - cosine_b * tb) / size_b
+                return p, over, g - over * n, by_a, by_b
+
+            nothing = lambda: (p0 := jnp.zeros_like(distance), p0, *(3 * (jnp.zeros_like(n),)))
+            # always so; but what a branch returns is stored, and XLA would otherwise evaluate it
+            # anew for every one of the numbers below
+            p, over, g, by_a, by_b = lax.cond(first < near.count, slopes, nothing)
+            h = _by_joints(mix, n, over, g, by_a, by_b)
         force = jnp.einsum("abi,kqab->qik", mix, p * n)
         ratio = jnp.min(jnp.where(p != 0, distance / pair.diameter, jnp.inf))
         return PairForces(force, h, ratio, jnp.sum(jnp.abs(p)))
@@ -228,6 +225,26 @@ def _blocks(contact, where, near, joints, velocities, by_velocity):
     derivative = None if by_velocity is None else zeros(BLOCK, 4, 4, 3, 3)
     empty = PairForces(zeros(BLOCK, 4, 3), derivative, zeros() + jnp.inf, zeros())
     return evaluate, rows, empty
+
+
+def _by_joints(mix, n, over, g, by_a, by_b) -> Float[Array, "q 4 4 3 3"]:
+    """Minus the derivative of a block's forces by its joints, from those by distance and chords.
+
+    By joint j the force on joint i changes by minus the sum over the points of
+    mix_i n (mix_j g + c_j)^T + mix_i mix_j over I, c_j that by the chord with an end at j.
+    """
+    block, points = n.shape[1], n.shape[2] * n.shape[3]
+    mix = mix.reshape(points, 4)
+    flat = lambda v: v.reshape(-1, block, points)
+    n, g, by_a, by_b = (flat(v) for v in (n, g, by_a, by_b))
+    chords = jnp.stack([-by_a, by_a, -by_b, by_b])  # (j, l, q, x)
+    at_j = mix.T[:, None, None, :]
+    left = jnp.einsum("ikqx->qikx", at_j * n).reshape(block, 12, points)
+    right = jnp.einsum("jlqx->qxjl", at_j * g + chords).reshape(block, points, 12)
+    outer = (left @ right).reshape(block, 4, 3, 4, 3)
+    products = (mix[:, :, None] * mix[:, None, :]).reshape(points, 16)
+    across = (flat(over)[0] @ products).reshape(block, 4, 4, 1, 1)
+    return -(jnp.swapaxes(outer, 2, 3) + across * jnp.eye(3, dtype=n.dtype))
 
 
 def gather(near: Near, force: Float[Array, "q 4 3"], joints: int) -> Float[Array, "j 3"]:

@@ -3,8 +3,9 @@
 The matrix is A + L K R^T: A block tridiagonal, K the sum of the pairs' derivatives over the
 joints in contact (3m x 3m), R^T reads the displacements of those joints, L puts forces on them
 into the force balances. Eliminating A leaves a dense system of 3m unknowns (Woodbury's identity
-in the form that needs no inverse of K). Where the grid is coarser than the contact's segments, the
-nodes between which the joints lie take the joints' place: they are fewer.
+in the form that needs no inverse of K); its factors serve for several right sides. Where the grid
+is coarser than the contact's segments, the nodes between which the joints lie take the joints'
+place: they are fewer.
 """
 
 from typing import NamedTuple
@@ -12,7 +13,7 @@ from typing import NamedTuple
 import equinox as eqx
 import jax.numpy as jnp
 from jax import lax
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Float, Int
 
 from rodjax.balance import Scales
 from rodjax.batching import one_by_one
@@ -93,13 +94,25 @@ class Coupling(eqx.Module):
             found = nodal[self.near.nodes[: level.nodes]]
         return found.reshape(-1, columns.shape[2])
 
+    def joints(self, displacement: Float[Array, " k"], level: Level) -> Float[Array, "j 3"]:
+        """Displacements of all joints from those of the joints in contact, or of their nodes."""
+        given = displacement.reshape(-1, 3)
+        if self.near.nodes is None:
+            every = jnp.zeros((self.near.order.shape[0], 3), given.dtype)
+            return every.at[self.near.order[: level.joints]].set(given)
+        nodal = jnp.zeros((self.left.shape[0], 3), given.dtype)
+        return interpolate(self.where, nodal.at[self.near.nodes[: level.nodes]].set(given))
+
     def multiply(self, b: Float[Array, "nodes 9"]) -> Float[Array, "nodes 9"]:
         """L K R^T b, pair by pair."""
-        moved = interpolate(self.where, jnp.einsum("jrk,jr->jk", self.right, b))
+        return self.push(interpolate(self.where, jnp.einsum("jrk,jr->jk", self.right, b)))
+
+    def push(self, moved: Float[Array, "j 3"]) -> Float[Array, "nodes 9"]:
+        """L K times displacements of the joints, pair by pair."""
         index = jnp.stack(joints_of(self.near), 1)
         force = jnp.einsum("qijkl,qjl->qik", self.derivative, moved[index])
         force = gather(self.near, force, moved.shape[0])
-        return jnp.einsum("jrk,jk->jr", self.left, spread(self.where, force, b.shape[0]))
+        return jnp.einsum("jrk,jk->jr", self.left, spread(self.where, force, len(self.left)))
 
 
 def couple(
@@ -150,8 +163,30 @@ class CoupledSystem(eqx.Module):
     def solve(self, b: Float[Array, "nodes 9"]) -> Float[Array, "nodes 9"]:
         """Solution of the system. Under `vmap` over b alone the matrix is eliminated once."""
         if self.coupling is None:
-            return _solve_columns(self.blocks.factorize(), b)
-        return _solve_shared(self, b)
+            return _solve_apart(self, b)
+        return _solve(self, b)
+
+    def eliminate(self) -> "Eliminated":
+        """The system, its pairs in contact if it has any, ready for any number of right sides."""
+        factors, coupling = self.blocks.factorize(), self.coupling
+        if coupling is None:
+            return Eliminated(factors)
+        levels = coupling.levels
+        largest = _unknowns(levels[-1])
+
+        def dense(level):
+            def factorized(factors, coupling):
+                k = _unknowns(level)
+                give = _compliance(factors, coupling, level)
+                matrix = jnp.eye(k, dtype=give.dtype) + give @ coupling.matrix(level)
+                lu, _, order = lax.linalg.lu(matrix)
+                return jnp.pad(lu, (0, largest - k)), jnp.pad(order, (0, largest - k))
+
+            return factorized
+
+        branches = [dense(level) for level in levels]
+        lu, order = lax.switch(coupling.near.level - 1, branches, factors, coupling)
+        return Eliminated(factors, coupling, lu, order)
 
     def solve_transpose(self, b: Float[Array, "nodes 9"]) -> Float[Array, "nodes 9"]:
         """Solution of the transposed system."""
@@ -163,26 +198,46 @@ class CoupledSystem(eqx.Module):
         return product if self.coupling is None else product + self.coupling.multiply(b)
 
 
-def _solve(system: CoupledSystem, b):
-    coupling = system.coupling
-    assert coupling is not None
-    return lax.cond(coupling.near.level > 0, _touching, _apart, system, b)
+class Eliminated(eqx.Module):
+    """Factors of a system with a coupling: of A, and of I + R^T A^-1 L K, padded with zeros."""
+
+    factors: Factors
+    coupling: Coupling | None = None
+    lu: Float[Array, "k k"] | None = None
+    order: Int[Array, " k"] | None = None  # of the rows of the latter
+
+    def solve(self, b: Float[Array, "nodes 9"]) -> Float[Array, "nodes 9"]:
+        """Solution A^-1 (b - L K d), where d, displacements in contact, obey the dense system."""
+        coupling = self.coupling
+        free = _solve_columns(self.factors, b)
+        if coupling is None:
+            return free
+
+        def moved(level):
+            def joints(free, lu, order):
+                k = _unknowns(level)
+                right = coupling.read(free[:, :, None], level)[order[:k]]
+                for lower in (True, False):
+                    right = lax.linalg.triangular_solve(
+                        lu[:k, :k], right, left_side=True, lower=lower, unit_diagonal=lower
+                    )
+                return coupling.joints(right[:, 0], level)
+
+            return joints
+
+        branches = [moved(level) for level in coupling.levels]
+        joints = lax.switch(coupling.near.level - 1, branches, free, self.lu, self.order)
+        return free - _solve_columns(self.factors, coupling.push(joints))
 
 
-def _apart(system: CoupledSystem, b):
+def _solve_one(system: CoupledSystem, b):
+    assert system.coupling is not None
+    touching = lambda system, b: system.eliminate().solve(b)
+    return lax.cond(system.coupling.near.level > 0, touching, _solve_apart, system, b)
+
+
+def _solve_apart(system: CoupledSystem, b):
     return _solve_columns(system.blocks.factorize(), b)
-
-
-def _touching(system: CoupledSystem, b):
-    """Solution, by the smallest solver that holds the joints in contact."""
-    coupling = system.coupling
-    assert coupling is not None
-
-    def some(level):
-        return lambda b, factors: _solve_coupled(factors, coupling, level, b)
-
-    branches = [some(level) for level in coupling.levels]
-    return lax.switch(coupling.near.level - 1, branches, b, system.blocks.factorize())
 
 
 def _not_touching(system: CoupledSystem, b):
@@ -190,65 +245,20 @@ def _not_touching(system: CoupledSystem, b):
     return system.coupling.near.level == 0
 
 
-_solve_shared = one_by_one(_solve, (_not_touching, _apart))
-
-
-class Touching(NamedTuple):
-    """A Newton system and residual still without contact, and what contact adds to them."""
-
-    blocks: BlockTridiagonal
-    residual: Float[Array, "nodes 9"]
-    contact: Contact
-    nearby: Nearby
-    motion: NodeMotion
-    by_velocity: Float[Array, ""]
-    projectors: Float[Array, "2 6 6"]
-    scales: Scales
-    needed: Bool[Array, ""]  # otherwise any finite increment will do
-
-
-def increment(given: Touching) -> Float[Array, "nodes 9"]:
-    """Newton's increment with contact: forces and their derivative in time that follows the pairs.
-
-    Where nothing is near, nothing of contact is evaluated. Without derivative.
-    """
-    return _increment(given)
-
-
-def _increment_of_one(given: Touching):
-    near = given.nearby.near
-    case = jnp.where(given.needed, jnp.where(near.level > 0, 2, 1), 0)
-    nothing = lambda given: jnp.zeros_like(given.residual)
-    return lax.switch(case, [nothing, _increment_apart, _increment_touching], given)
-
-
-def _increment_apart(given: Touching):
-    return given.blocks.solve(-given.residual)
-
-
-def _increment_touching(given: Touching):
-    contact, nearby, scales = given.contact, given.nearby, given.scales
-    push, coupling = couple(
-        contact, nearby, given.motion, given.by_velocity, given.projectors, scales
-    )
-    assert push is not None and coupling is not None
-    right = jnp.einsum("jrk,jk->jr", coupling.left, push / scales.force) - given.residual
-    return _touching(CoupledSystem(given.blocks, coupling), right)
-
-
-def _increment_easy(given: Touching):
-    return (given.nearby.near.level == 0) | ~given.needed
-
-
-_increment = one_by_one(_increment_of_one, (_increment_easy, _increment_apart))
+_solve = one_by_one(_solve_one, (_not_touching, _solve_apart))
 
 
 def _solve_columns(factors: Factors, b: Float[Array, "nodes 9"]) -> Float[Array, "nodes 9"]:
     return factors.solve(b[:, :, None])[:, :, 0]
 
 
-def _solve_coupled(factors: Factors, coupling: Coupling, level: Level, b):
-    """Solve with m joints or nodes in contact: 3m columns through A, then a dense system."""
+def _unknowns(level: Level) -> int:
+    """Size of the dense system."""
+    return 3 * (level.joints if level.nodes is None else level.nodes)
+
+
+def _compliance(factors: Factors, coupling: Coupling, level: Level) -> Float[Array, "k k"]:
+    """R^T A^-1 L: displacements of the joints or nodes in contact by forces on them."""
     places = coupling.places(level)
     m = 3 * places.shape[1]
 
@@ -263,13 +273,8 @@ def _solve_coupled(factors: Factors, coupling: Coupling, level: Level, b):
         current = middle - upper @ following
         return current, current
 
-    zero = jnp.zeros((9, m), b.dtype)
+    zero = jnp.zeros((9, m), factors.inverse.dtype)
     entries = factors.inverse @ coupling.left
     _, middle = lax.scan(forward, zero, (factors.lower, entries, places))
     _, columns = lax.scan(backward, zero, (factors.upper, middle), reverse=True)
-    matrix = coupling.matrix(level)
-    system = jnp.eye(m, dtype=b.dtype) + coupling.read(columns, level) @ matrix
-    # b by itself, so that vmap over b leaves the columns alone
-    free = _solve_columns(factors, b)
-    displacement = jnp.linalg.solve(system, coupling.read(free[:, :, None], level)[:, 0])
-    return free - columns @ (matrix @ displacement)
+    return coupling.read(columns, level)

@@ -2,15 +2,16 @@
 
 An equations object has
     residual(x) -> r                                  r = 0 is to be solved,
-    newton_increment(x, needed) -> dx                 minus the derivative's inverse times r,
+    newton_increment(x) -> dx                         minus the derivative's inverse times r,
     linearize(x) -> system                            system.solve(b), system.solve_transpose(b),
                                                       system.multiply(b): the derivative at x,
+                                                      system.eliminate(): for several right sides,
     retract(x, dx) -> x                               applies the solved increment,
     lift(x, dx) -> d(x)                               the same to first order,
     limit(x, dx) -> scale in (0, 1]                   how much of the increment is safe,
-    size(dx) -> scalar                                the increment in units of the tolerance.
-
-`needed` is false in the lanes of a batch that have ended: there any finite dx will do.
+    size(dx) -> scalar                                the increment in units of the tolerance,
+    iterate(x, tolerance, max_iterations) -> x, info  by one of the iterations below,
+as far as what is called needs them.
 """
 
 from typing import Any, NamedTuple
@@ -29,6 +30,10 @@ from rodjax.results import Result
 SOLUTION = "newton_solution"
 
 
+# Contraction above which a held derivative is taken anew.
+_HELD = 0.2
+
+
 class NewtonInfo(NamedTuple):
     """How the iteration went."""
 
@@ -40,6 +45,7 @@ class _Loop(NamedTuple):
     x: Any
     iterations: Int[Array, ""]
     size: Float[Array, ""]
+    contraction: Float[Array, ""]  # of the last increment over the one before
     slow: Int[Array, ""]
     converged: Bool[Array, ""]
     finite: Bool[Array, ""]
@@ -48,36 +54,71 @@ class _Loop(NamedTuple):
 def iterate(equations, x, tolerance, max_iterations) -> tuple[Any, NewtonInfo]:
     """Newton's iteration. Stops on the error PREDICTED after an update from two successive ones.
 
-    With sizes s_{k-1}, s_k of the last two increments the error left is about s_k (s_k/s_{k-1})
-    or less (it is quadratic in s_k near a solution). Gives up early when four increments in all
-    have failed to shrink.
+    With sizes s_{k-1}, s_k of the last two increments and q = s_k/s_{k-1} the error left is about
+    s_k q/(1 - q) or less (it is quadratic in s_k near a solution). Gives up early when four
+    increments in all have failed to shrink.
     """
 
     def body(loop: _Loop) -> _Loop:
-        # always true, but for lanes that wait for others of their batch
-        dx = equations.newton_increment(loop.x, unfinished(loop))
-        scale = equations.limit(loop.x, dx)
-        full = equations.size(dx)
-        contraction = jnp.where(loop.iterations > 0, full / loop.size, 1.0)
-        left = full * jnp.minimum(contraction, 1.0)
-        converged = (left <= tolerance) & (scale >= 1.0)
-        slow = loop.slow + ((contraction > 0.7) & (loop.iterations > 0) & (scale >= 1.0))
-        return _Loop(
-            equations.retract(loop.x, scale * dx),
-            loop.iterations + 1,
-            full,
-            slow.astype(jnp.int32),
-            converged,
-            jnp.isfinite(full),
-        )
+        return _updated(equations, loop, equations.newton_increment(loop.x), tolerance)
 
-    def unfinished(loop: _Loop):
-        return ~loop.converged & loop.finite & (loop.iterations < max_iterations) & (loop.slow < 4)
+    going = lambda loop: _unfinished(loop, max_iterations)
+    return _outcome(lax.while_loop(going, body, _beginning(x)))
 
-    no = jnp.asarray(False)
-    zero = jnp.asarray(0, jnp.int32)
-    start = _Loop(x, zero, jnp.asarray(jnp.inf, x.dtype), zero, no, ~no)
-    end = lax.while_loop(unfinished, body, start)
+
+def iterate_held(equations, x, tolerance, max_iterations) -> tuple[Any, NewtonInfo]:
+    """As `iterate`, with the derivative held while increments shrink fast (chord method).
+
+    For systems whose elimination costs several times a residual.
+    """
+
+    def body(loop: _Loop) -> _Loop:
+        system = equations.linearize(loop.x).eliminate()
+
+        def again(state):
+            first, inner = state
+            return _unfinished(inner, max_iterations) & (first | (inner.contraction < _HELD))
+
+        def correct(state):
+            inner = state[1]
+            dx = system.solve(-equations.residual(inner.x))
+            return jnp.asarray(False), _updated(equations, inner, dx, tolerance)
+
+        return lax.while_loop(again, correct, (jnp.asarray(True), loop))[1]
+
+    going = lambda loop: _unfinished(loop, max_iterations)
+    return _outcome(lax.while_loop(going, body, _beginning(x)))
+
+
+def _beginning(x) -> _Loop:
+    no, zero = jnp.asarray(False), jnp.asarray(0, jnp.int32)
+    one = jnp.ones((), x.dtype)
+    return _Loop(x, zero, one * jnp.inf, one, zero, no, ~no)
+
+
+def _updated(equations, loop: _Loop, dx, tolerance) -> _Loop:
+    """The iteration after an increment."""
+    scale = equations.limit(loop.x, dx)
+    full = equations.size(dx)
+    contraction = jnp.where(loop.iterations > 0, full / loop.size, 1.0)
+    left = full * jnp.minimum(contraction / jnp.maximum(1 - contraction, 0.5), 1.0)
+    slow = loop.slow + ((contraction > 0.7) & (loop.iterations > 0) & (scale >= 1.0))
+    return _Loop(
+        equations.retract(loop.x, scale * dx),
+        loop.iterations + 1,
+        full,
+        contraction,
+        slow.astype(jnp.int32),
+        (left <= tolerance) & (scale >= 1.0),
+        jnp.isfinite(full),
+    )
+
+
+def _unfinished(loop: _Loop, max_iterations):
+    return ~loop.converged & loop.finite & (loop.iterations < max_iterations) & (loop.slow < 4)
+
+
+def _outcome(end: _Loop) -> tuple[Any, NewtonInfo]:
     result = jnp.where(end.converged, Result.SUCCESS, Result.NEWTON_FAILED)
     result = jnp.where(end.finite, result, Result.NON_FINITE)
     return end.x, NewtonInfo(result.astype(jnp.int32), end.iterations)
@@ -89,7 +130,7 @@ def solve(equations, x, tolerance, max_iterations) -> tuple[Any, NewtonInfo]:
 
     The guess, the tolerance and the iterations taken have no influence on the derivative.
     """
-    return iterate(equations, x, tolerance, max_iterations)
+    return equations.iterate(x, tolerance, max_iterations)
 
 
 @solve.def_jvp

@@ -250,7 +250,7 @@ class PaperEquations(eqx.Module):
             lacking_last,
         )
 
-    def newton_increment(self, x, needed=True):
+    def newton_increment(self, x):
         """Newton's increment of x."""
         return self.solver.solve(self.linearize(x))
 

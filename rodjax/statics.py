@@ -127,7 +127,7 @@ class StaticEquations(eqx.Module):
             system = AnchoredSystem(system, coupled(held, other))
         return system
 
-    def newton_increment(self, x, needed=True):
+    def newton_increment(self, x):
         """Newton's increment."""
         return self.linearize(x).solve(-self.residual(x))
 

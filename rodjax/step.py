@@ -10,9 +10,9 @@ from jax import lax
 from jax.ad_checkpoint import checkpoint_name
 from jaxtyping import Array, Bool, Float, Int
 
-from rodjax import balance, contact_forces, coupled, ends, newton, rotations, screening
+from rodjax import balance, contact_forces, ends, newton, rotations, screening
 from rodjax.balance import Scales
-from rodjax.batching import only_where
+from rodjax.batching import one_by_one, only_where
 from rodjax.consistency import project
 from rodjax.coupled import CoupledSystem, Nearby, couple, find_nearby
 from rodjax.generalized_alpha import (
@@ -185,27 +185,36 @@ class StepEquations(eqx.Module):
         )
         return CoupledSystem(blocks, coupling)
 
-    def newton_increment(self, x, needed=True):
-        """Newton's increment, contact forces and their derivative evaluated once."""
+    def newton_increment(self, x):
+        """Newton's increment; without contact by a single elimination."""
+        if self.nearby is not None:
+            return self.linearize(x).solve(-self.residual(x))
         motion, acceleration, increment = self.motion(x)
         blocks = self._blocks(x, motion, acceleration, increment)
-        residual = self._balance(x, motion, acceleration, increment, None)
+        return blocks.solve(-self._balance(x, motion, acceleration, increment, None))
+
+    def iterate(self, x, tolerance, max_iterations):
+        """Newton's iteration, with a held derivative where pairs are near.
+
+        The lanes of a batch go together while nothing is near in any of them, else one by one.
+        """
         if self.nearby is None:
-            return blocks.solve(-residual)
-        assert self.scene.contact is not None
-        return coupled.increment(
-            coupled.Touching(
-                blocks,
-                residual,
-                self.scene.contact,
-                self.nearby,
-                motion,
-                self.coefficients.by_velocity,
-                projectors(self.scene, self.state.time),
-                self.scales,
-                jnp.asarray(needed),
-            )
-        )
+            return newton.iterate(self, x, tolerance, max_iterations)
+        arrays, rest = eqx.partition(self, eqx.is_array)
+        given = (x, tolerance, max_iterations)
+
+        def touching(arrays, *given):
+            return newton.iterate_held(eqx.combine(arrays, rest), *given)
+
+        def apart(arrays, *given):
+            equations = dataclasses.replace(eqx.combine(arrays, rest), nearby=None)
+            return newton.iterate(equations, *given)
+
+        def one(arrays, *given):
+            return lax.cond(arrays.nearby.near.count > 0, touching, apart, arrays, *given)
+
+        easy = lambda arrays, *given: arrays.nearby.near.count == 0
+        return one_by_one(one, (easy, apart))(arrays, *given)
 
     def lift(self, x, dx):
         """Increment of x for solved increments, whose rotations are body spins."""

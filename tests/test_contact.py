@@ -12,7 +12,7 @@ from helpers import DIAMETER, LAWS, PAIR, hairpin, order_of
 from rodjax import contact as contact_of
 from rodjax import contact_forces as forces_of
 from rodjax import contact_laws as laws
-from rodjax import measures, screening
+from rodjax import measures, newton, screening
 from rodjax.consistency import start
 from rodjax.contact import Contact
 from rodjax.coupled import find_nearby
@@ -147,8 +147,9 @@ def test_batches_of_right_sides_and_of_systems(bent):
 
     system = lambda state: equations(state).linearize(equations(state).guess())
 
-    def increment(state, needed=True):
-        return equations(state).newton_increment(equations(state).guess(), needed)
+    def root(state):
+        tried = equations(state)
+        return tried.iterate(tried.guess(), jnp.asarray(1e-11), jnp.asarray(2))
 
     def close(found, expected):
         np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-12)
@@ -161,15 +162,28 @@ def test_batches_of_right_sides_and_of_systems(bent):
     grid = jax.jit(jax.vmap(lambda s: jax.vmap(system(s).solve)(right)))(both)
     close(grid[0], jnp.stack(alone))
     close(grid[1], jnp.stack([system(apart).solve(b) for b in right]))
-    # Newton's increments, by the solver of their own and, if none is in contact, together
-    expected = jnp.stack([increment(state), increment(apart)])
-    found = jax.jit(jax.vmap(increment))(both)
-    close(found, expected)
+    # two of Newton's iterations, of each lane for itself or, if none is in contact, together
+    expected = [jax.jit(root)(s) for s in (state, apart)]
+    found, infos = jax.jit(jax.vmap(root))(both)
+    for lane, (x, info) in enumerate(expected):
+        close(found[lane], x)
+        assert int(infos.iterations[lane]) == int(info.iterations)
     easy = jax.tree.map(lambda leaf: jnp.stack([leaf, leaf]), apart)
-    close(jax.jit(jax.vmap(increment))(easy), expected[jnp.asarray([1, 1])])
-    # a lane that has ended takes none
-    found = jax.jit(jax.vmap(increment))(both, jnp.asarray([True, False]))
-    close(found, expected.at[1].set(0.0))
+    close(jax.jit(jax.vmap(root))(easy)[0], jnp.stack([expected[1][0]] * 2))
+
+
+@finer_and_coarser
+def test_a_held_derivative_leads_to_the_same_motion(bent):
+    scene, state, _ = bent
+    nearby = find_nearby(scene, state.position)
+    equations = StepEquations(scene, state, jnp.asarray(1e-3), jnp.asarray(0.5), nearby)
+    assert int(nearby.near.count) > 0
+    rest = (equations.guess(), jnp.asarray(1e-11), jnp.asarray(20))
+    whole, each = jax.jit(lambda: newton.iterate(equations, *rest))()
+    held, once = jax.jit(lambda: newton.iterate_held(equations, *rest))()
+    assert int(each.result) == int(once.result) == 0
+    np.testing.assert_allclose(held, whole, rtol=1e-8, atol=1e-10)
+    assert int(each.iterations) <= int(once.iterations) <= 2 * int(each.iterations)
 
 
 def test_joints_lie_on_the_curve_through_the_nodes():
