@@ -30,7 +30,7 @@ from rodjax import newton
 from rodjax.compilation import compiled
 from rodjax.coupled import find_nearby
 from rodjax.equilibrium import placing
-from rodjax.step import StepEquations
+from rodjax.step_equations import StepEquations
 
 jax.config.update("jax_enable_compilation_cache", False)
 

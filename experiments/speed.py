@@ -34,7 +34,8 @@ from rodjax.loads import MorisonDrag
 from rodjax.rod import circular_section, curved_rod, straight_rod
 from rodjax.rollout import rollout
 from rodjax.scene import Scene
-from rodjax.step import StepEquations, prepare, step
+from rodjax.step import prepare, step
+from rodjax.step_equations import StepEquations
 
 jax.config.update("jax_enable_compilation_cache", False)
 

@@ -21,7 +21,7 @@ from rodjax.rod import Rod
 from rodjax.run import Run
 from rodjax.scene import Scene, projectors
 from rodjax.state import State
-from rodjax.step import free_balance
+from rodjax.step_equations import free_balance
 from rodjax.strains import curvature, strains
 
 
