@@ -45,7 +45,7 @@ def arguments(argv=None) -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument("--elements", type=int, metavar="N", help="default 100 (10 with --quick)")
     parser.add_argument("--devices", type=int, default=1, metavar="K", help="of the CPU")
-    parser.add_argument("--per-device", type=int, metavar="B", help="scenes at once; 1 (2)")
+    parser.add_argument("--per-device", type=int, metavar="B", help="scenes at once; 8 (2)")
     parser.add_argument("--compare", action="store_true", help="time scenes alone as well")
     parser.add_argument("--coordinator", metavar="HOST:PORT", help="of several processes")
     parser.add_argument("--processes", type=int, default=1, metavar="P")
@@ -54,7 +54,7 @@ def arguments(argv=None) -> argparse.Namespace:
     parser.add_argument("--out", type=Path, default=Path("results/sweep"), metavar="DIR")
     options = parser.parse_args(argv)
     options.elements = options.elements or (10 if options.quick else 100)
-    options.per_device = options.per_device or (2 if options.quick else 1)
+    options.per_device = options.per_device or (2 if options.quick else 8)
     return options
 
 

@@ -57,17 +57,20 @@ def sweep(
     found, done = _read(Path(path), leaves, count)
     share = per_device * jax.local_device_count()
     rank, processes = jax.process_index(), jax.process_count()
+    # neighbouring sets, likely of like cost, are dealt out among the devices in turn
+    dealt = np.arange(share * processes).reshape(per_device, -1).T.ravel()
+    back = np.argsort(dealt)
     mapped = _on_all_devices(function)
     while not np.all(done):
         left = np.flatnonzero(~done)[: share * processes]
         # a short last round repeats its last set
         padded = np.resize(left, share * processes)
         padded[len(left) :] = left[-1]
-        mine = padded.reshape(processes, share)[rank]
+        mine = padded[dealt].reshape(processes, share)[rank]
         results = mapped(
             jax.tree.unflatten(structure, [jnp.asarray(leaf[mine]) for leaf in leaves])
         )
-        results = {name: np.asarray(_gathered(value)) for name, value in results.items()}
+        results = {name: np.asarray(_gathered(value))[back] for name, value in results.items()}
         for name, value in results.items():
             if name not in found:
                 found[name] = np.zeros((count, *value.shape[1:]), value.dtype)
