@@ -287,8 +287,9 @@ def main(argv=None) -> int:
             print(
                 f"derivative held, {found['steps']} steps with pairs {name}:"
                 f" {found['iterations_held']:.1f} iterations for {found['iterations_new']:.1f},"
-                f" {found['ratio']:.2f} of the time ({held['failed']} steps failed)"
+                f" {found['ratio']:.2f} of the time"
             )
+    print(f"{held['failed']} of the steps sampled failed by either")
     summary = {
         "elements": options.elements,
         "steps_timed": count,

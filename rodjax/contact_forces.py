@@ -211,7 +211,8 @@ def _blocks(contact, where, near, joints, velocities, by_velocity):
                 by_a, by_b = p_a * (n - cosine_a * ta) / size_a, p_b * (n - cosine_b * tb) / size_b
                 return p, over, g - over * n, by_a, by_b
 
-            nothing = lambda: (p0 := jnp.zeros_like(distance), p0, *(3 * (jnp.zeros_like(n),)))
+            point, vector = jnp.zeros_like(distance), jnp.zeros_like(n)
+            nothing = lambda: (point, point, vector, vector, vector)
             # always so; but what a branch returns is stored, and XLA would otherwise evaluate it
             # anew for every one of the numbers below
             p, over, g, by_a, by_b = lax.cond(first < near.count, slopes, nothing)

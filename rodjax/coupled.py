@@ -199,7 +199,7 @@ class CoupledSystem(eqx.Module):
 
 
 class Eliminated(eqx.Module):
-    """Factors of a system with a coupling: of A, and of I + R^T A^-1 L K, padded with zeros."""
+    """Factors of a system: of A, and of I + R^T A^-1 L K (padded with zeros) if it is coupled."""
 
     factors: Factors
     coupling: Coupling | None = None

@@ -69,7 +69,8 @@ def iterate(equations, x, tolerance, max_iterations) -> tuple[Any, NewtonInfo]:
 def iterate_held(equations, x, tolerance, max_iterations) -> tuple[Any, NewtonInfo]:
     """As `iterate`, with the derivative held while increments shrink fast (chord method).
 
-    For systems whose elimination costs several times a residual.
+    The error left is predicted for the slower contraction of the chord method. For systems whose
+    elimination costs several times a residual.
     """
 
     def body(loop: _Loop) -> _Loop:
@@ -82,7 +83,9 @@ def iterate_held(equations, x, tolerance, max_iterations) -> tuple[Any, NewtonIn
         def correct(state):
             inner = state[1]
             dx = system.solve(-equations.residual(inner.x))
-            return jnp.asarray(False), _updated(equations, inner, dx, tolerance)
+            # the first correction by a derivative is quadratic, s_1 = c s_0^2, and those that
+            # follow shrink by 2 c s_0 each
+            return jnp.asarray(False), _updated(equations, inner, dx, tolerance, growth=2.0)
 
         return lax.while_loop(again, correct, (jnp.asarray(True), loop))[1]
 
@@ -96,12 +99,13 @@ def _beginning(x) -> _Loop:
     return _Loop(x, zero, one * jnp.inf, one, zero, no, ~no)
 
 
-def _updated(equations, loop: _Loop, dx, tolerance) -> _Loop:
-    """The iteration after an increment."""
+def _updated(equations, loop: _Loop, dx, tolerance, growth=1.0) -> _Loop:
+    """The iteration after an increment, the next contraction being `growth` times the last."""
     scale = equations.limit(loop.x, dx)
     full = equations.size(dx)
     contraction = jnp.where(loop.iterations > 0, full / loop.size, 1.0)
-    left = full * jnp.minimum(contraction / jnp.maximum(1 - contraction, 0.5), 1.0)
+    ahead = growth * contraction
+    left = full * jnp.minimum(ahead / jnp.maximum(1 - ahead, 0.5), 1.0)
     slow = loop.slow + ((contraction > 0.7) & (loop.iterations > 0) & (scale >= 1.0))
     return _Loop(
         equations.retract(loop.x, scale * dx),

@@ -131,7 +131,11 @@ class Smooth(AbstractSchedule):
 
 
 class Function(AbstractSchedule):
-    """Any differentiable function of time, valid until the time given."""
+    """Any differentiable function of time, valid until the time given.
+
+    Numbers to differentiate by or to map over belong in the arrays of another schedule, not in the
+    function's closure.
+    """
 
     function: Callable = eqx.field(static=True)
     last: float = eqx.field(static=True, default=float("inf"))

@@ -202,7 +202,7 @@ def passage_suspected(
     def crossed(positions):
         return jnp.any(_crossings(near, *(interpolate(where, x) for x in positions)))
 
-    positions = lax.stop_gradient((before, after))
+    where, positions = lax.stop_gradient((where, (before, after)))
     return only_where(near.count > 0, crossed, lambda _: jnp.asarray(False), positions)
 
 

@@ -11,7 +11,7 @@ from jaxtyping import Array, Float
 from rodjax import balance, contact_forces, ends, newton, rotations, screening
 from rodjax.balance import Scales
 from rodjax.batching import one_by_one
-from rodjax.coupled import CoupledSystem, Nearby, couple
+from rodjax.coupled import CoupledSystem, Coupling, Nearby, couple
 from rodjax.generalized_alpha import advance, coefficients, predicted_increment
 from rodjax.inertia import inertial_wrench, node_jacobian
 from rodjax.loads import NodeMotion, total_wrench
@@ -137,19 +137,22 @@ class StepEquations(eqx.Module):
         """Derivative of the residual by the increments that `lift` takes."""
         motion, acceleration, increment = self.motion(x)
         blocks = self._blocks(x, motion, acceleration, increment)
-        both, by_velocity = projectors(self.scene, self.state.time), self.coefficients.by_velocity
-        _, coupling = couple(
-            self.scene.contact, self.nearby, motion, by_velocity, both, self.scales
-        )
-        return CoupledSystem(blocks, coupling)
+        return CoupledSystem(blocks, self._contact(motion)[1])
 
     def newton_increment(self, x):
-        """Newton's increment; without contact by a single elimination."""
-        if self.nearby is not None:
-            return self.linearize(x).solve(-self.residual(x))
+        """Newton's increment, contact forces and their derivative evaluated once."""
         motion, acceleration, increment = self.motion(x)
         blocks = self._blocks(x, motion, acceleration, increment)
-        return blocks.solve(-self._balance(x, motion, acceleration, increment, None))
+        push, coupling = self._contact(motion)
+        residual = self._balance(x, motion, acceleration, increment, push)
+        if coupling is None:
+            return blocks.solve(-residual)
+        return CoupledSystem(blocks, coupling).solve(-residual)
+
+    def _contact(self, motion) -> tuple[Array | None, Coupling | None]:
+        """Contact forces on the nodes [N], and their derivative in the Newton system."""
+        both, by_velocity = projectors(self.scene, self.state.time), self.coefficients.by_velocity
+        return couple(self.scene.contact, self.nearby, motion, by_velocity, both, self.scales)
 
     def iterate(self, x, tolerance, max_iterations):
         """Newton's iteration, with a held derivative where pairs are near.

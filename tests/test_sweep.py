@@ -90,7 +90,7 @@ PROCESS = """
     jax.distributed.initialize(sys.argv[1], 2, int(sys.argv[2]))
     sys.path[:0] = sys.argv[4:]
     from test_sweep import PARAMETERS, check, function, sweep
-    check(sweep(function, PARAMETERS, sys.argv[3], per_device=1))
+    check(sweep(function, PARAMETERS, sys.argv[3], per_device=2))
 """
 
 
