@@ -153,7 +153,9 @@ def test_batches_of_right_sides_and_of_systems(bent):
         return tried.iterate(tried.guess(), jnp.asarray(1e-11), jnp.asarray(2))
 
     def close(found, expected):
-        np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-12)
+        # the rod apart is torn in two: its nodes move by many elements to be one again
+        largest = max(1.0, float(jnp.max(jnp.abs(expected))))
+        np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-12 * largest)
 
     one = system(state)
     assert int(one.coupling.near.level) > 0 and int(system(apart).coupling.near.level) == 0
