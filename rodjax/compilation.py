@@ -1,9 +1,9 @@
 """Compilation of the library's own top-level programs.
 
 XLA's newer fusion emitters for CPUs take about twice as long to compile a step as the older ones,
-for code that is no faster. Where the option exists (it went with jaxlib 0.12), the programs that
+for code that is no faster, and its splitting of sums into trees a seventh more. The programs that
 the library itself compiles (steps, measures, fits; not what a caller puts under `jax.jit`) do
-without them.
+without them where the backend knows these options (that on emitters went with jaxlib 0.12).
 """
 
 import functools
@@ -14,7 +14,10 @@ import jax
 import jax.core
 import jax.numpy as jnp
 
-_OPTIONS = {"xla_cpu_use_fusion_emitters": False}
+_OPTIONS = {
+    "xla_cpu_use_fusion_emitters": False,
+    "xla_disable_hlo_passes": "tree_reduction_rewriter",
+}
 
 
 @functools.cache
@@ -22,11 +25,15 @@ def _options() -> dict[str, Any]:
     """Compiler options that this backend knows."""
     if jax.default_backend() != "cpu":
         return {}
+    return {name: value for name, value in _OPTIONS.items() if _known({name: value})}
+
+
+def _known(options: dict[str, Any]) -> bool:
     try:
-        jax.jit(lambda x: x + 1, compiler_options=_OPTIONS)(jnp.zeros(()))
+        jax.jit(lambda x: x + 1, compiler_options=options)(jnp.zeros(()))
     except Exception:
-        return {}
-    return _OPTIONS
+        return False
+    return True
 
 
 def compiled(function):
