@@ -117,39 +117,50 @@ def _static(scene: rx.Scene, state: rx.State, count: int):
     return info.result, info.iterations
 
 
-def timed(program: Callable, scene: rx.Scene, state: rx.State, count: int, repeats: int):
-    """Seconds to compile a program of `count` steps and of one warm step, and its iterations."""
-    call = lambda: jax.block_until_ready(program(scene, state, count))
-    began = time.perf_counter()
-    result, iterations = call()
-    first = time.perf_counter() - began
-    if int(result) != 0:
-        raise RuntimeError(f"a rung failed: {rx.Result(int(result)).name}")
-    seconds = []
-    for _ in range(repeats):
-        began = time.perf_counter()
-        call()
-        seconds.append(time.perf_counter() - began)
-    warm = statistics.median(seconds)
-    return first - warm, warm / count, float(iterations) / count
+class Prepared(NamedTuple):
+    """A rung compiled: what remains to be timed, and its row but for that."""
+
+    call: Callable
+    row: dict[str, Any]
 
 
-def measured(rung: Rung, count: int, repeats: int, static: bool = False) -> dict[str, Any]:
-    """One row of the table."""
+def prepared(rung: Rung, count: int, static: bool = False) -> Prepared:
+    """Compile the program of `count` steps of a rung, and count its operations."""
     if static:
         state, program = placing(rung.scene), _static
         traced = lambda scene, state: rx.equilibrium(scene, state, throw=False)
     else:
         state = rx.start(rung.scene) if rung.state is None else rung.state
         program, traced = _steps, lambda scene, state: rx.step(scene, state, state.time + STEP)
-    seconds, each, iterations = timed(program, rung.scene, state, count, repeats)
-    return {
+    call = lambda: jax.block_until_ready(program(rung.scene, state, count))
+    began = time.perf_counter()
+    result, iterations = call()
+    first = time.perf_counter() - began
+    if int(result) != 0:
+        raise RuntimeError(f"a rung failed: {rx.Result(int(result)).name}")
+    row = {
         "name": rung.name,
         "operations": operations(jax.make_jaxpr(traced)(rung.scene, state).jaxpr),
-        "compile_seconds": seconds,
-        "step_milliseconds": 1e3 * each,
-        "iterations_per_step": iterations,
+        "compile_seconds": first - _seconds(call),
+        "iterations_per_step": float(iterations) / count,
     }
+    return Prepared(call, row)
+
+
+def measured(rungs: list[Prepared], count: int, repeats: int) -> list[dict[str, Any]]:
+    """The rows of the table. Warm runs in turn, so that a busy spell slows all rungs alike."""
+    rounds = [[_seconds(rung.call) for rung in rungs] for _ in range(repeats)]
+    medians = map(statistics.median, zip(*rounds, strict=True))
+    return [
+        rung.row | {"step_milliseconds": 1e3 * median / count}
+        for rung, median in zip(rungs, medians, strict=True)
+    ]
+
+
+def _seconds(call: Callable) -> float:
+    began = time.perf_counter()
+    call()
+    return time.perf_counter() - began
 
 
 @compiled
@@ -202,9 +213,7 @@ def held_derivative(elements: int, until: float, sample: int, repeats: int) -> d
         trials = {way: [] for way in ways}
         for _ in range(repeats):
             for way, solve in ways.items():
-                began = time.perf_counter()
-                jax.block_until_ready(solve(equations))
-                trials[way].append(time.perf_counter() - began)
+                trials[way].append(_seconds(lambda: jax.block_until_ready(solve(equations))))
         for way, info in infos.items():
             counts[near][way].append(int(info.iterations))
             seconds[near][way] += statistics.median(trials[way])
@@ -247,7 +256,7 @@ def draw(rows: list[dict[str, Any]], out: Path) -> None:
         values = [row[key] for row in rows]
         bars = one.barh(range(len(rows)), values, color="C0")
         one.bar_label(bars, [f"{v:.3g}" if v < 1000 else f"{v:.0f}" for v in values], padding=3)
-        one.set_xlim(0, 1.18 * max(values))
+        one.set_xlim(0, 1.3 * max(values))
         one.set_xlabel(label)
     axes[0].set_yticks(range(len(rows)), names)
     axes[0].invert_yaxis()
@@ -275,10 +284,13 @@ def main(argv=None) -> int:
     count = 5 if options.quick else 50
     ladder = rungs(options.elements, options.quick)
     jobs = ladder[:3] if options.quick else [*ladder, *lighter(options.elements)]
-    rows = []
+    compiled_rungs = []
     for rung in jobs:
-        rows.append(measured(rung, count, options.repeats, static=rung is ladder[0]))
-        print(table(rows).splitlines()[-1], flush=True)
+        compiled_rungs.append(prepared(rung, count, static=rung is ladder[0]))
+        row = compiled_rungs[-1].row
+        print(f"{rung.name}: compiled in {row['compile_seconds']:.1f} s", flush=True)
+    rows = measured(compiled_rungs, count, options.repeats)
+    print(table(rows))
     until = 1.0 if options.quick else 32.0
     held = held_derivative(options.elements, until, 4, options.repeats)
     for name in ("apart", "near"):
