@@ -157,9 +157,9 @@ def measured(rungs: list[Prepared], count: int, repeats: int) -> list[dict[str, 
     ]
 
 
-def _seconds(call: Callable) -> float:
+def _seconds(call: Callable, *given) -> float:
     began = time.perf_counter()
-    call()
+    jax.block_until_ready(call(*given))
     return time.perf_counter() - began
 
 
@@ -213,7 +213,7 @@ def held_derivative(elements: int, until: float, sample: int, repeats: int) -> d
         trials = {way: [] for way in ways}
         for _ in range(repeats):
             for way, solve in ways.items():
-                trials[way].append(_seconds(lambda: jax.block_until_ready(solve(equations))))
+                trials[way].append(_seconds(solve, equations))
         for way, info in infos.items():
             counts[near][way].append(int(info.iterations))
             seconds[near][way] += statistics.median(trials[way])
