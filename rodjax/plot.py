@@ -225,7 +225,9 @@ def _legend(axes):
 
 
 def _mark(axes, marks: Mapping[str, float] | None):
-    """Thin vertical lines, each with its name written along it."""
+    """Thin vertical lines, each with its name written along it, haloed against curves."""
+    from matplotlib.patheffects import withStroke
+
     for name, time in (marks or {}).items():
         axes.axvline(time, color="0.5", linewidth=0.8, linestyle=":", zorder=0)
         axes.annotate(
@@ -237,6 +239,7 @@ def _mark(axes, marks: Mapping[str, float] | None):
             color="0.3",
             ha="right",
             va="top",
+            path_effects=[withStroke(linewidth=2.5, foreground="white")],
         )
 
 
