@@ -41,8 +41,8 @@ def replaced(base, parameters):
 
 def main(argv=None) -> int:
     """Fit and report."""
-    options = recovery.arguments("fit_contact_law", __doc__, (200, 20), argv)
-    begin, end, count, seen = (BEGIN, 30.0, 20, 4) if options.quick else (BEGIN, END, 140, 28)
+    options = recovery.arguments("fit_contact_law", __doc__, (200, 40), argv)
+    begin, end, count, seen = (BEGIN, 31.5, 35, 7) if options.quick else (BEGIN, END, 140, 28)
     observed = np.linspace(begin, end, seen + 1)[1:]
     preset = dataclasses.replace(PRESETS["timeline"], hold_at=None)
     settings = []
