@@ -54,8 +54,8 @@ class Coupling(eqx.Module):
         swapped = jnp.transpose(self.derivative, (0, 2, 1, 4, 3))
         return Coupling(self.where, self.near, swapped, self.right, self.left, self.levels)
 
-    def matrix(self, level: Level) -> Float[Array, "k k"]:
-        """K of the joints in contact, or of their nodes."""
+    def rows(self, level: Level) -> Float[Array, "nodes 3 k"]:
+        """Forces on all nodes by displacements of the joints in contact, or of their nodes."""
         size = level.joints
         rank = jnp.stack(
             [self.near.rank[joint[: level.pairs]] for joint in joints_of(self.near)], 1
@@ -64,10 +64,14 @@ class Coupling(eqx.Module):
         blocks = jnp.zeros((size, size, 3, 3), self.derivative.dtype)
         index = (rank[:, :, None], rank[:, None, :])
         blocks = blocks.at[index].add(self.derivative[: level.pairs], mode="drop")
-        if self.near.nodes is not None:
-            weight = self.weights(size)[self.near.nodes[: level.nodes]]
-            blocks = jnp.einsum("na,abij,mb->nmij", weight, blocks, weight)
-        return jnp.swapaxes(blocks, 1, 2).reshape(3 * blocks.shape[0], -1)
+        weight = self.weights(size)
+        if self.near.nodes is None:
+            columns = jnp.swapaxes(blocks, 1, 2).reshape(size, 9 * size)
+            return (weight @ columns).reshape(-1, 3, 3 * size)
+        chosen = weight[self.near.nodes[: level.nodes]]
+        rows = jnp.einsum("na,abij->nbij", weight, blocks)
+        rows = jnp.einsum("mb,nbij->nimj", chosen, rows)
+        return rows.reshape(-1, 3, 3 * chosen.shape[0])
 
     def weights(self, size: int) -> Float[Array, "nodes m"]:
         """Interpolation weights of the first joints, those in contact among them, at the nodes."""
@@ -76,23 +80,17 @@ class Coupling(eqx.Module):
         at = node == self.where.nodes[chosen]
         return jnp.sum(jnp.where(at, self.where.weight[chosen], 0.0), 2)
 
-    def places(self, level: Level) -> Float[Array, "nodes m"]:
-        """Weights at the nodes of what K couples: joints, or the nodes themselves."""
-        if self.near.nodes is None:
-            return self.weights(level.joints)
-        chosen = jnp.arange(self.left.shape[0])[:, None] == self.near.nodes[: level.nodes]
-        return chosen.astype(self.left.dtype)
-
-    def read(self, columns: Float[Array, "nodes 9 c"], level: Level) -> Float[Array, "k c"]:
-        """R^T times columns: displacements of the joints in contact, or of their nodes."""
-        nodal = jnp.einsum("nrk,nrc->nkc", self.right, columns)
+    def read(self, nodal: Float[Array, "nodes 3 c"], level: Level) -> Float[Array, "k c"]:
+        """Displacements of the joints in contact, or of their nodes, from those of all nodes."""
         if self.near.nodes is None:
             chosen = self.near.order[: level.joints]
             at, weight = self.where.nodes[chosen], self.where.weight[chosen]
-            found = jnp.einsum("mj,mjkc->mkc", weight, nodal[at])
+            # term by term, since XLA would store the gathered nodes of all terms
+            terms = [weight[:, j, None, None] * nodal[at[:, j]] for j in range(at.shape[1])]
+            found = sum(terms[1:], terms[0])
         else:
             found = nodal[self.near.nodes[: level.nodes]]
-        return found.reshape(-1, columns.shape[2])
+        return found.reshape(-1, nodal.shape[2])
 
     def joints(self, displacement: Float[Array, " k"], level: Level) -> Float[Array, "j 3"]:
         """Displacements of all joints from those of the joints in contact, or of their nodes."""
@@ -177,9 +175,8 @@ class CoupledSystem(eqx.Module):
         def dense(level):
             def factorized(factors, coupling):
                 k = _unknowns(level)
-                give = _compliance(factors, coupling, level)
-                matrix = jnp.eye(k, dtype=give.dtype) + give @ coupling.matrix(level)
-                lu, _, order = lax.linalg.lu(matrix)
+                response = _response(factors, coupling, level)
+                lu, _, order = lax.linalg.lu(jnp.eye(k, dtype=response.dtype) + response)
                 return jnp.pad(lu, (0, largest - k)), jnp.pad(order, (0, largest - k))
 
             return factorized
@@ -216,7 +213,8 @@ class Eliminated(eqx.Module):
         def moved(level):
             def joints(free, lu, order):
                 k = _unknowns(level)
-                right = coupling.read(free[:, :, None], level)[order[:k]]
+                nodal = jnp.einsum("nrk,nr->nk", coupling.right, free)
+                right = coupling.read(nodal[:, :, None], level)[order[:k]]
                 for lower in (True, False):
                     right = lax.linalg.triangular_solve(
                         lu[:k, :k], right, left_side=True, lower=lower, unit_diagonal=lower
@@ -257,24 +255,24 @@ def _unknowns(level: Level) -> int:
     return 3 * (level.joints if level.nodes is None else level.nodes)
 
 
-def _compliance(factors: Factors, coupling: Coupling, level: Level) -> Float[Array, "k k"]:
-    """R^T A^-1 L: displacements of the joints or nodes in contact by forces on them."""
-    places = coupling.places(level)
-    m = 3 * places.shape[1]
+def _response(factors: Factors, coupling: Coupling, level: Level) -> Float[Array, "k k"]:
+    """R^T A^-1 L K: displacements in contact by the forces that such displacements cause."""
+    # A^-1 (L K), not (A^-1 L) K: a product of large matrices less
+    forces = coupling.rows(level)
+    carried = jnp.concatenate([factors.inverse @ coupling.left, -factors.lower], 2)
 
     def forward(previous, row):
-        lower, entry, place = row
-        columns = (entry[:, None, :] * place[None, :, None]).reshape(9, m)
-        current = columns - lower @ previous
+        carry, force = row
+        current = carry @ jnp.concatenate([force, previous])
         return current, current
 
     def backward(following, row):
-        upper, middle = row
+        upper, middle, right = row
         current = middle - upper @ following
-        return current, current
+        # only what is read is kept: all columns of a fine grid do not fit into the cache
+        return current, right.T @ current
 
-    zero = jnp.zeros((9, m), factors.inverse.dtype)
-    entries = factors.inverse @ coupling.left
-    _, middle = lax.scan(forward, zero, (factors.lower, entries, places))
-    _, columns = lax.scan(backward, zero, (factors.upper, middle), reverse=True)
-    return coupling.read(columns, level)
+    zero = jnp.zeros((9, forces.shape[2]), forces.dtype)
+    _, middle = lax.scan(forward, zero, (carried, forces))
+    rows = (factors.upper, middle, coupling.right)
+    return coupling.read(lax.scan(backward, zero, rows, reverse=True)[1], level)
