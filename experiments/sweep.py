@@ -108,20 +108,47 @@ def _step_at(times, now):
     return times[i + 1] - times[i]
 
 
-def alone_seconds(one, parameters, first: int) -> float:
-    """Mean seconds of a scene by itself, of every fifth from the given one on.
+class Clock:
+    """Seconds of every round of a sweep and, if `alone`, of every fifth of its scenes by itself.
 
-    Scenes differ: those that intertwine early cost several times those that never touch.
+    The two are timed in turn, so that a machine that slows down slows both. Scenes differ: those
+    that intertwine early cost several times those that never touch.
     """
-    program = compiled(one)
-    pick = lambda i: {name: jnp.asarray(values[i]) for name, values in parameters.items()}
-    jax.block_until_ready(program(pick(first)))
-    times = []
-    for i in range(first, len(parameters["twist"]), 5):
+
+    def __init__(self, one, parameters, alone: bool):
+        self.program = compiled(one) if alone else None
+        self.parameters = parameters
+        self.rounds: list[tuple[float, int]] = []
+        self.alone: list[float] = []
+        self.done = 0
+        if alone:
+            self._seconds(0)
+        self.began = time.perf_counter()
+
+    def _seconds(self, i: int) -> float:
+        chosen = {name: jnp.asarray(values[i]) for name, values in self.parameters.items()}
         began = time.perf_counter()
-        jax.block_until_ready(program(pick(i)))
-        times.append(time.perf_counter() - began)
-    return float(np.mean(times))
+        jax.block_until_ready(self.program(chosen))
+        return time.perf_counter() - began
+
+    def round(self, done: int) -> int:
+        """Note a round that ended with so many scenes done; how many it had."""
+        count = done - self.done
+        self.rounds.append((time.perf_counter() - self.began, count))
+        # the first round compiled
+        if self.program is not None and len(self.rounds) > 1:
+            self.alone += [self._seconds(i) for i in range(self.done, done, 5)]
+        self.done, self.began = done, time.perf_counter()
+        return count
+
+    def seconds_a_scene(self) -> float | None:
+        """Of all rounds but the first."""
+        warm = self.rounds[1:]
+        return sum(s for s, _ in warm) / sum(n for _, n in warm) if warm else None
+
+    def seconds_alone(self) -> float | None:
+        """Mean of those timed."""
+        return float(np.mean(self.alone)) if self.alone else None
 
 
 def draw(found, out: Path) -> None:
@@ -187,23 +214,13 @@ def main(argv=None) -> int:
         }
 
     bar = tqdm(total=len(grid), desc="scenes", disable=None)
-    seconds, began, before = [], time.perf_counter(), 0
-
-    def progress(done, _):
-        nonlocal began, before
-        seconds.append((time.perf_counter() - began, done - before))
-        bar.update(done - before)
-        began, before = time.perf_counter(), done
-
+    clock = Clock(one, parameters, options.compare)
     found = sweep(one, parameters, options.out / "sweep.h5", per_device=options.per_device,
-                  progress=progress)  # fmt: skip
+                  progress=lambda done, _: bar.update(clock.round(done)))  # fmt: skip
     bar.close()
     if options.process != 0:
         return 0
-    first = seconds[0][1]  # scenes of the round that compiled
-    warm = seconds[1:]
-    each = sum(s for s, _ in warm) / sum(n for _, n in warm) if warm else None
-    alone = alone_seconds(one, parameters, first) if options.compare and warm else None
+    each, alone = clock.seconds_a_scene(), clock.seconds_alone()
     failed = int(np.sum(found["result"] != 0))
     summary = {
         "elements": options.elements,
@@ -213,7 +230,7 @@ def main(argv=None) -> int:
         "devices": options.devices,
         "processes": options.processes,
         "per_device": options.per_device,
-        "seconds_of_rounds": seconds,
+        "seconds_of_rounds": clock.rounds,
         "seconds_a_scene": each,
         "seconds_alone": alone,
         "ratio": None if not (each and alone) else each / alone,
