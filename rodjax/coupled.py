@@ -68,10 +68,11 @@ class Coupling(eqx.Module):
         if self.near.nodes is None:
             columns = jnp.swapaxes(blocks, 1, 2).reshape(size, 9 * size)
             return (weight @ columns).reshape(-1, 3, 3 * size)
-        chosen = weight[self.near.nodes[: level.nodes]]
-        rows = jnp.einsum("na,abij->nbij", weight, blocks)
-        rows = jnp.einsum("mb,nbij->nimj", chosen, rows)
-        return rows.reshape(-1, 3, 3 * chosen.shape[0])
+        chosen = self.near.nodes[: level.nodes]
+        weight = weight[chosen]
+        rows = jnp.einsum("na,abij,mb->nmij", weight, blocks, weight)
+        rows = jnp.swapaxes(rows, 1, 2).reshape(-1, 3, 3 * weight.shape[0])
+        return jnp.zeros((self.left.shape[0], *rows.shape[1:]), rows.dtype).at[chosen].set(rows)
 
     def weights(self, size: int) -> Float[Array, "nodes m"]:
         """Interpolation weights of the first joints, those in contact among them, at the nodes."""
