@@ -245,7 +245,9 @@ def compare(
                     "differences_own_error": float(error[i]) / size,
                 }
             )
-        partial.write_text(json.dumps(rows, indent=2))
+        whole = partial.with_suffix(".new")
+        whole.write_text(json.dumps(rows, indent=2))
+        whole.replace(partial)
     return rows
 
 
@@ -265,10 +267,23 @@ def memory(preset: Preset, what: str, quick: bool) -> dict[str, float]:
     jax.block_until_ready(function(Factors.ones()))
     leaves = np.asarray([np.asarray(leaf) for leaf in jax.tree.leaves(found)])
     return {
-        "peak_mib": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024,
+        "peak_mib": peak_mib(),
         "seconds": time.perf_counter() - began,
         "finite": bool(np.all(np.isfinite(leaves))),
     }
+
+
+def peak_mib() -> float:
+    """Peak resident memory of this process [MiB].
+
+    Linux counts in `getrusage` the process that started this one, as it was then.
+    """
+    status = Path("/proc/self/status")
+    if status.exists():
+        lines = status.read_text().splitlines()
+        return int(next(line for line in lines if line.startswith("VmHWM")).split()[1]) / 1024
+    unit = 2**20 if sys.platform == "darwin" else 2**10
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / unit
 
 
 def measure_memory(options) -> dict[str, Any]:

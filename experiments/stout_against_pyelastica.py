@@ -1,13 +1,13 @@
 """The stout rod intertwining by rodjax and by PyElastica: what either costs, and how far off it is.
 
-    python experiments/stout_against_pyelastica.py [--elements N] [--peer-elements M] [--until T]
-                                                   [--peer-dt DT] [--quick] [--out DIR]
+    python experiments/stout_against_pyelastica.py [--elements N] [--tighter K] [--peer-elements M]
+                                                   [--until T] [--peer-dt DT] [--quick] [--out DIR]
 
 The rod of the preset `stout` (D = 10 mm, necked), turned 4.5 times in 32 s at one end, the other
 sliding along its axis, in both codes with the same drag, shear and extension and with
 PyElastica's penalty law of self-contact. Each code's error is its deviation from its own run on
-twice the elements: of Wr(Lk) and of the energies, as means over 2 s. Every run is stored in DIR and
-used again if it is there (PyElastica's take many minutes); remove a file to repeat its run.
+twice the elements with half the tolerances or steps: of Wr(Lk) and of the energies, as means over
+2 s. Every run is stored in DIR and used again if it is there; remove a file to repeat its run.
 Writes comparison.png, table.txt and summary.json. Needs the extra `peers`.
 
 PyElastica's law gives each pair of elements nearer than D the force k (D - d) + nu d', whatever
@@ -86,6 +86,8 @@ def arguments(argv=None) -> argparse.Namespace:
     """Options of the command line, with the defaults that --quick changes."""
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument("--elements", type=int, metavar="N", help="default 100 (30 with --quick)")
+    parser.add_argument("--tighter", type=float, default=2.0, metavar="K",
+                        help="the preset's tolerances are divided by this; default 2")  # fmt: skip
     parser.add_argument("--peer-elements", type=int, metavar="M", help="PyElastica's; as rodjax's")
     parser.add_argument("--until", type=float, metavar="T", help="end [s]; default 32 (1)")
     parser.add_argument("--peer-dt", type=float, default=2.5e-5, metavar="DT", help="[s]")
@@ -100,7 +102,7 @@ def arguments(argv=None) -> argparse.Namespace:
         options.peer_elements = options.elements
     if options.until is None:
         options.until = 1.0 if options.quick else UNTIL
-    for name in ("elements", "peer_elements", "until", "peer_dt"):
+    for name in ("elements", "tighter", "peer_elements", "until", "peer_dt"):
         if not getattr(options, name) > 0:
             parser.error(f"--{name.replace('_', '-')}: must be positive")
     return options
@@ -304,9 +306,16 @@ def main(argv=None) -> int:
         return 1
     options.out.mkdir(parents=True, exist_ok=True)
     n, m, until, dt = options.elements, options.peer_elements, options.until, options.peer_dt
+    coarse, fine = (n, options.tighter), (2 * n, 2 * options.tighter)
     jobs = {
-        f"rodjax, {n} elements": (f"rodjax_{n}.npz", lambda: rodjax_run(until, n, 2.0)),
-        f"rodjax, {2 * n} elements": (f"rodjax_{2 * n}.npz", lambda: rodjax_run(until, 2 * n, 4.0)),
+        f"rodjax, {n} elements": (
+            "rodjax_{}_{:g}.npz".format(*coarse),
+            lambda: rodjax_run(until, *coarse),
+        ),
+        f"rodjax, {2 * n} elements": (
+            "rodjax_{}_{:g}.npz".format(*fine),
+            lambda: rodjax_run(until, *fine),
+        ),
         f"PyElastica, {m} elements": (
             f"pyelastica_{m}.npz",
             lambda: pyelastica_run(until, m, dt, near=False),
@@ -347,6 +356,7 @@ def main(argv=None) -> int:
     finished = all(series.time[-1] >= until * (1 - 1e-9) for series, _ in runs.values())
     summary = {
         "elements": n,
+        "tighter": options.tighter,
         "peer_elements": m,
         "until": until,
         "peer_dt": dt,

@@ -131,15 +131,14 @@ class Clock:
         jax.block_until_ready(self.program(chosen))
         return time.perf_counter() - began
 
-    def round(self, done: int) -> int:
-        """Note a round that ended with so many scenes done; how many it had."""
+    def round(self, done: int) -> None:
+        """Note a round that ended with so many scenes done."""
         count = done - self.done
         self.rounds.append((time.perf_counter() - self.began, count))
         # the first round compiled
         if self.program is not None and len(self.rounds) > 1:
             self.alone += [self._seconds(i) for i in range(self.done, done, 5)]
         self.done, self.began = done, time.perf_counter()
-        return count
 
     def seconds_a_scene(self) -> float | None:
         """Of all rounds but the first."""
@@ -215,8 +214,13 @@ def main(argv=None) -> int:
 
     bar = tqdm(total=len(grid), desc="scenes", disable=None)
     clock = Clock(one, parameters, options.compare)
+
+    def progress(done, _):
+        bar.update(done - clock.done)
+        clock.round(done)
+
     found = sweep(one, parameters, options.out / "sweep.h5", per_device=options.per_device,
-                  progress=lambda done, _: bar.update(clock.round(done)))  # fmt: skip
+                  progress=progress)  # fmt: skip
     bar.close()
     if options.process != 0:
         return 0
