@@ -30,9 +30,9 @@ from rodjax import energy, measures, plot, storage
 from rodjax.adaptive import adaptive_rollout, compile_adaptive_rollout
 from rodjax.compilation import compiled
 from rodjax.consistency import start
+from rodjax.fixed_rollout import rollout
 from rodjax.generalized_alpha import GeneralizedAlpha
 from rodjax.results import MESSAGES, Result
-from rodjax.rollout import rollout
 from rodjax.run import Run, join_runs
 from rodjax.scene import Scene
 from rodjax.state import State

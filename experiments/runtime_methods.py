@@ -29,12 +29,12 @@ from rodjax import energy, measures, semidiscrete
 from rodjax.adaptive import adaptive_rollout
 from rodjax.compilation import compiled
 from rodjax.consistency import start
-from rodjax.equilibrium import equilibrium, placing
+from rodjax.fixed_rollout import rollout
 from rodjax.generalized_alpha import GeneralizedAlpha
+from rodjax.load_path import equilibrium, placing
 from rodjax.observations import positions_at
 from rodjax.paper_scheme import paper_rollout
 from rodjax.results import Result
-from rodjax.rollout import rollout
 from rodjax.run import Run
 from rodjax.scene import Scene
 from rodjax.step_control import StepControl

@@ -30,12 +30,12 @@ from rodjax.adaptive import compile_adaptive_rollout
 from rodjax.block_tridiagonal import BlockTridiagonal
 from rodjax.coupled import find_nearby
 from rodjax.ends import Clamped
+from rodjax.fixed_rollout import rollout
 from rodjax.loads import MorisonDrag
 from rodjax.rod import circular_section, curved_rod, straight_rod
-from rodjax.rollout import rollout
 from rodjax.scene import Scene
-from rodjax.step import prepare, step
 from rodjax.step_equations import StepEquations
+from rodjax.stepping import prepare, step
 
 jax.config.update("jax_enable_compilation_cache", False)
 

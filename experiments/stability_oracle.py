@@ -16,7 +16,7 @@ from rodjax import energy, measures
 from rodjax.compilation import compiled
 from rodjax.run import Run
 from rodjax.scene import Scene, projectors
-from rodjax.step import StepInfo
+from rodjax.stepping import StepInfo
 
 AGREEMENT = 0.05  # accurate: the final shape with half the step, over the largest displacement
 BALANCE = 0.05  # accurate: |residual of the energy ledger| over the largest energy in play

@@ -21,7 +21,7 @@ import rodjax as rx
 from rodjax.adaptive import compile_adaptive_rollout
 from rodjax.results import MESSAGES
 from rodjax.run import Run, join_runs
-from rodjax.step import no_info
+from rodjax.stepping import no_info
 
 BLOCK = 20  # fixed steps of a cell
 CHUNK = 50

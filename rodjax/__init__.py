@@ -21,6 +21,7 @@ from rodjax.contact_laws import DebyeHueckel as DebyeHueckel
 from rodjax.contact_laws import InversePower as InversePower
 from rodjax.contact_laws import LennardJones as LennardJones
 from rodjax.contact_laws import Penalty as Penalty
+from rodjax.descent import minimize as minimize
 from rodjax.ends import AbstractEnd as AbstractEnd
 from rodjax.ends import Clamped as Clamped
 from rodjax.ends import Free as Free
@@ -28,24 +29,26 @@ from rodjax.ends import Pinned as Pinned
 from rodjax.ends import Slider as Slider
 from rodjax.ends import Switched as Switched
 from rodjax.ends import Turn as Turn
-from rodjax.equilibrium import equilibrium as equilibrium
-from rodjax.equilibrium import placing as placing
 from rodjax.extrapolation import extrapolate as extrapolate
 from rodjax.fit import least_squares as least_squares
 from rodjax.fit import several_starts as several_starts
 from rodjax.fit_results import Fit as Fit
 from rodjax.fit_results import FitError as FitError
 from rodjax.fit_results import FitResult as FitResult
+from rodjax.fixed_rollout import rollout as rollout
 from rodjax.generalized_alpha import GeneralizedAlpha as GeneralizedAlpha
+from rodjax.linear_stability import stability as stability
+from rodjax.load_path import equilibrium as equilibrium
+from rodjax.load_path import placing as placing
 from rodjax.loads import AbstractLoad as AbstractLoad
 from rodjax.loads import DistributedLoad as DistributedLoad
 from rodjax.loads import Gravity as Gravity
 from rodjax.loads import LinearDrag as LinearDrag
 from rodjax.loads import MorisonDrag as MorisonDrag
 from rodjax.loads import PointLoad as PointLoad
-from rodjax.minimize import minimize as minimize
 from rodjax.observations import Observations as Observations
 from rodjax.observations import positions_at as positions_at
+from rodjax.results import ModelWarning as ModelWarning
 from rodjax.results import Result as Result
 from rodjax.results import SimulationError as SimulationError
 from rodjax.rod import Rod as Rod
@@ -53,7 +56,6 @@ from rodjax.rod import Section as Section
 from rodjax.rod import circular_section as circular_section
 from rodjax.rod import curved_rod as curved_rod
 from rodjax.rod import straight_rod as straight_rod
-from rodjax.rollout import rollout as rollout
 from rodjax.run import Run as Run
 from rodjax.scene import Scene as Scene
 from rodjax.schedules import AbstractSchedule as AbstractSchedule
@@ -62,11 +64,10 @@ from rodjax.schedules import Function as Function
 from rodjax.schedules import PiecewiseLinear as PiecewiseLinear
 from rodjax.schedules import PiecewiseLinearRate as PiecewiseLinearRate
 from rodjax.schedules import Smooth as Smooth
-from rodjax.stability import stability as stability
+from rodjax.small_vibration import vibration as vibration
 from rodjax.state import State as State
-from rodjax.step import step as step
 from rodjax.step_control import StepControl as StepControl
-from rodjax.vibration import vibration as vibration
+from rodjax.stepping import step as step
 
 __version__ = "0.1.0"
 
@@ -93,6 +94,7 @@ __all__ = [
     "InversePower",
     "LennardJones",
     "LinearDrag",
+    "ModelWarning",
     "MorisonDrag",
     "Observations",
     "Penalty",

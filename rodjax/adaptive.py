@@ -14,14 +14,14 @@ from jaxtyping import Array, Bool, Int
 from rodjax import passages, results
 from rodjax.compilation import compiled
 from rodjax.consistency import compiled_restart, start
-from rodjax.equilibrium import placing
 from rodjax.generalized_alpha import GeneralizedAlpha
+from rodjax.load_path import placing
 from rodjax.results import Result
 from rodjax.run import Run, join_runs
 from rodjax.scene import Scene
 from rodjax.state import State
-from rodjax.step import StepInfo, advance_to, begin_constraint, no_info, prepare, switching
 from rodjax.step_control import Control, StepControl, begin, choose, error_ratio, tolerances_of
+from rodjax.stepping import StepInfo, advance_to, begin_constraint, no_info, prepare, switching
 
 
 class _Chunk(NamedTuple):

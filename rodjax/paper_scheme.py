@@ -46,16 +46,16 @@ from jaxtyping import Array, Float, Int
 
 from rodjax import contact_forces, ends, newton, results, rotations
 from rodjax.compilation import compiled
+from rodjax.fixed_rollout import check_times, onto_switches
 from rodjax.loads import Gravity, LinearDrag, MorisonDrag
 from rodjax.paper_equations import Fields, PaperEquations, weights
 from rodjax.paper_solvers import AbstractSolver, BlockSolve
 from rodjax.results import Result, join
 from rodjax.rod import Rod
-from rodjax.rollout import check_times, onto_switches
 from rodjax.run import Run
 from rodjax.scene import Scene, projectors
 from rodjax.state import State
-from rodjax.step import StepInfo, no_info
+from rodjax.stepping import StepInfo, no_info
 from rodjax.strains import curvature
 from rodjax.validation import as_float, check_positive, known
 

@@ -6,7 +6,7 @@ from jaxtyping import Array, Bool, Float
 
 from rodjax.scene import Scene
 from rodjax.state import State
-from rodjax.step import StepInfo
+from rodjax.stepping import StepInfo
 
 COARSE = 0.5  # local errors over motion (rms of all steps) beyond which a run means nothing
 VISIBLE = 1e-4  # displacement in a step, over the rod's length, that matters at all

@@ -20,6 +20,9 @@ class Result(enum.IntEnum):
     SWITCH_MISSED = 7
     NON_FINITE = 8
     UNRESOLVED = 9  # only of runs in which nothing failed
+    DRIVE_TOO_FAST = 10
+    CONTACT_OVERCOME = 11
+    INTERRUPTED = 12
 
 
 MESSAGES = {
@@ -29,6 +32,15 @@ MESSAGES = {
         " smaller steps, or the adaptive rollout), or they are so small that velocities drown in"
         " rounding (use longer steps, or float64)"
     ),
+    Result.DRIVE_TOO_FAST: (
+        "an end is turned by half a turn or more in one step, which cannot be told from fewer turns;"
+        " use smaller steps (the adaptive rollout takes them by itself)"
+    ),
+    Result.CONTACT_OVERCOME: (
+        "strands were pressed closer to each other than the contact law can hold them apart; use a"
+        " stronger law, for solids `Contact.solid` with the force expected"
+    ),
+    Result.INTERRUPTED: "stopped by the user; what was computed until then is kept",
     Result.STEP_TOO_SMALL: (
         "the step fell below min_step without an acceptable solution; the motion is too fast or the"
         " contact too stiff for the grid: use more elements, a softer law, or a smaller min_step"
@@ -56,6 +68,10 @@ MESSAGES = {
         "a value became infinite or not a number; check the inputs, or use a smaller step"
     ),
 }
+
+
+class ModelWarning(UserWarning):
+    """A result that solves the equations given, but perhaps not the problem that was meant."""
 
 
 class SimulationError(RuntimeError):

@@ -9,8 +9,8 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from rodjax.state import State
-from rodjax.step import StepInfo
 from rodjax.step_control import Control
+from rodjax.stepping import StepInfo
 
 
 class Run(eqx.Module):

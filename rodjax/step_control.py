@@ -11,7 +11,7 @@ from jaxtyping import Array, Bool, Float
 from rodjax.rod import Rod
 from rodjax.rotations import logarithm
 from rodjax.state import State
-from rodjax.step import StepInfo
+from rodjax.stepping import StepInfo
 from rodjax.strains import relative_rotation
 from rodjax.validation import as_float
 

@@ -27,8 +27,8 @@ from jaxtyping import Array, Float
 import rodjax
 from rodjax.adaptive import adaptive_rollout
 from rodjax.compilation import compiled
+from rodjax.fixed_rollout import rollout
 from rodjax.generalized_alpha import GeneralizedAlpha
-from rodjax.rollout import rollout
 from rodjax.run import Run
 from rodjax.scene import Scene
 from rodjax.state import State

@@ -13,8 +13,8 @@ from jax import lax
 from jaxtyping import Array, Float
 
 from rodjax import rotations
+from rodjax.fixed_rollout import rollout
 from rodjax.generalized_alpha import GeneralizedAlpha
-from rodjax.rollout import rollout
 from rodjax.run import Run
 from rodjax.scene import Scene
 from rodjax.state import State

@@ -13,7 +13,7 @@ from rodjax.loads import MorisonDrag
 from rodjax.rod import Rod, Section, circular_section, curved_rod, straight_rod
 from rodjax.scene import Scene
 from rodjax.schedules import Smooth
-from rodjax.step import step
+from rodjax.stepping import step
 
 UNIT_SECTION = Section(
     stiffness=(1.0, 1.3, 0.8), mass=1.0, rotary_inertia=(2e-3, 2e-3, 4e-3), diameter=0.1, area=8e-3

@@ -22,8 +22,8 @@ from rodjax.results import Result
 from rodjax.rod import circular_section, straight_rod
 from rodjax.run import Run
 from rodjax.scene import Scene
-from rodjax.step import no_info, step
 from rodjax.step_equations import StepEquations
+from rodjax.stepping import no_info, step
 
 
 @pytest.fixture(scope="module")

@@ -13,7 +13,7 @@ from rodjax.consistency import start
 from rodjax.contact import Contact
 from rodjax.contact_laws import DampedInversePower
 from rodjax.ends import Clamped
-from rodjax.rollout import rollout
+from rodjax.fixed_rollout import rollout
 from rodjax.scene import Scene
 
 pytestmark = pytest.mark.slow

@@ -18,7 +18,7 @@ from rodjax.loads import Gravity, LinearDrag, MorisonDrag
 from rodjax.rod import Section, straight_rod
 from rodjax.scene import Scene
 from rodjax.schedules import Function
-from rodjax.step import step
+from rodjax.stepping import step
 
 FIELDS = ("position", "quaternion", "rate", "force")
 DRAG = (MorisonDrag(1.0, 2.0, 0.5),)

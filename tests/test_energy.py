@@ -14,7 +14,7 @@ from rodjax.run import Run
 from rodjax.scene import Scene
 from rodjax.schedules import Constant, Function, Smooth
 from rodjax.state import State
-from rodjax.step import StepInfo, prepare, step
+from rodjax.stepping import StepInfo, prepare, step
 
 ELEMENTS = 8
 AXIS = jnp.array([0.0, 0.0, 1.0])

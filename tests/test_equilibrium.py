@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from rodjax import rotations
 from rodjax.ends import Clamped, Free, Pinned, Slider, Switched, Turn
-from rodjax.equilibrium import equilibrium, placing
+from rodjax.load_path import equilibrium, placing
 from rodjax.loads import Gravity, PointLoad
 from rodjax.results import Result, SimulationError
 from rodjax.rod import Section, curved_rod, straight_rod

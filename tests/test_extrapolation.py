@@ -7,9 +7,9 @@ from helpers import driven_scene, final_state, order_of
 
 from rodjax.consistency import start
 from rodjax.ends import Clamped, Turn
-from rodjax.equilibrium import equilibrium, placing
 from rodjax.extrapolation import extrapolate
 from rodjax.generalized_alpha import GeneralizedAlpha
+from rodjax.load_path import equilibrium, placing
 from rodjax.loads import PointLoad
 from rodjax.rod import Section, straight_rod
 from rodjax.scene import Scene

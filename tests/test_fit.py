@@ -9,14 +9,14 @@ import pytest
 
 from rodjax.bounds import Interval, Positive, Unbounded
 from rodjax.consistency import start
+from rodjax.descent import minimize
 from rodjax.ends import Clamped
 from rodjax.fit import least_squares, several_starts
 from rodjax.fit_results import MESSAGES, FitError, FitResult
+from rodjax.fixed_rollout import rollout
 from rodjax.loads import LinearDrag
-from rodjax.minimize import minimize
 from rodjax.observations import Observations, positions_at
 from rodjax.rod import Section, straight_rod
-from rodjax.rollout import rollout
 from rodjax.scene import Scene
 
 TIMES = jnp.linspace(0.0, 3.0, 20)

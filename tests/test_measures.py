@@ -14,7 +14,7 @@ from rodjax.run import Run
 from rodjax.scene import Scene
 from rodjax.schedules import PiecewiseLinear
 from rodjax.state import State
-from rodjax.step import StepInfo
+from rodjax.stepping import StepInfo
 
 AXIS = jnp.array([0.0, 0.0, 1.0])
 LENGTH = 2.0

@@ -11,7 +11,7 @@ from rodjax.observations import Observations, positions_at
 from rodjax.rod import straight_rod
 from rodjax.run import Run
 from rodjax.state import State
-from rodjax.step import StepInfo
+from rodjax.stepping import StepInfo
 
 ROD = straight_rod(1.0, 4, UNIT_SECTION)
 TIMES = jnp.array([0.0, 0.7, 1.0, 2.5])

@@ -14,6 +14,7 @@ from jax import lax
 
 from rodjax.consistency import start
 from rodjax.ends import Clamped, Free, Slider, Turn
+from rodjax.fixed_rollout import rollout
 from rodjax.generalized_alpha import GeneralizedAlpha
 from rodjax.loads import Gravity, MorisonDrag, PointLoad
 from rodjax.measures import linking, stretch_error
@@ -21,7 +22,6 @@ from rodjax.paper_scheme import PaperScheme, fields_of, paper_rollout, paper_ste
 from rodjax.paper_solvers import BlockSolve, Shooting
 from rodjax.results import Result, SimulationError
 from rodjax.rod import Section, circular_section, straight_rod
-from rodjax.rollout import rollout
 from rodjax.scene import Scene
 from rodjax.schedules import Function
 

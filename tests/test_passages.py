@@ -13,10 +13,10 @@ from rodjax.consistency import start
 from rodjax.contact import Contact
 from rodjax.contact_laws import DampedInversePower
 from rodjax.ends import Clamped, Pinned, Slider, Turn
-from rodjax.equilibrium import placing
+from rodjax.fixed_rollout import rollout
+from rodjax.load_path import placing
 from rodjax.results import Result, SimulationError
 from rodjax.rod import circular_section, curved_rod, straight_rod
-from rodjax.rollout import rollout
 from rodjax.scene import Scene
 from rodjax.schedules import PiecewiseLinear
 

@@ -9,11 +9,11 @@ import pytest
 
 from rodjax.consistency import start
 from rodjax.ends import Clamped
+from rodjax.fixed_rollout import rollout
 from rodjax.generalized_alpha import GeneralizedAlpha
 from rodjax.loads import Gravity, LinearDrag
 from rodjax.results import Result, SimulationError
 from rodjax.rod import circular_section, straight_rod
-from rodjax.rollout import rollout
 from rodjax.scene import Scene
 
 

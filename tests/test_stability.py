@@ -9,13 +9,13 @@ from helpers import order_of
 
 from rodjax import rotations
 from rodjax.ends import Clamped, Free, Pinned, Slider
-from rodjax.equilibrium import placing
+from rodjax.linear_stability import stability
+from rodjax.load_path import placing
 from rodjax.loads import LinearDrag, PointLoad
 from rodjax.rod import Section, straight_rod
 from rodjax.scene import Scene
 from rodjax.schedules import Constant
-from rodjax.stability import stability
-from rodjax.vibration import vibration
+from rodjax.small_vibration import vibration
 
 # multiples of eight: elements of equal length with the neck's ends on nodes
 GRIDS = (16, 24, 40, 64)

@@ -10,11 +10,11 @@ from helpers import DIAMETER, hairpin
 from rodjax.contact import Contact
 from rodjax.contact_laws import InversePower
 from rodjax.ends import Clamped, Free
-from rodjax.equilibrium import equilibrium, placing
+from rodjax.linear_stability import stability
+from rodjax.load_path import equilibrium, placing
 from rodjax.loads import PointLoad
 from rodjax.scene import Scene
 from rodjax.schedules import Constant
-from rodjax.stability import stability
 from rodjax.statics import at_rest, static_balance
 
 

@@ -19,16 +19,16 @@ from rodjax import rotations
 from rodjax.adaptive import adaptive_rollout
 from rodjax.consistency import restart, start
 from rodjax.ends import Clamped, Free, Slider, Switched, Turn
+from rodjax.fixed_rollout import rollout
 from rodjax.generalized_alpha import GeneralizedAlpha
 from rodjax.inertia import node_inertia
 from rodjax.loads import DistributedLoad, Gravity, LinearDrag, MorisonDrag, PointLoad
 from rodjax.results import Result, SimulationError
 from rodjax.rod import circular_section, curved_rod, straight_rod
-from rodjax.rollout import rollout
 from rodjax.scene import Scene
 from rodjax.schedules import Constant, Function, PiecewiseLinear, Smooth
-from rodjax.step import step
 from rodjax.step_control import StepControl
+from rodjax.stepping import step
 from rodjax.strains import strains
 
 PRECISE = GeneralizedAlpha(0.8, tolerance=1e-12)

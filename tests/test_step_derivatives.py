@@ -8,10 +8,10 @@ import pytest
 
 from rodjax.consistency import start
 from rodjax.ends import Clamped, Slider, Turn
+from rodjax.fixed_rollout import rollout
 from rodjax.generalized_alpha import GeneralizedAlpha
 from rodjax.loads import LinearDrag, MorisonDrag
 from rodjax.rod import Section, straight_rod
-from rodjax.rollout import rollout
 from rodjax.scene import Scene
 from rodjax.schedules import Smooth
 

@@ -19,10 +19,10 @@ from rodjax.contact_laws import (
     LennardJones,
     Penalty,
 )
+from rodjax.fixed_rollout import rollout
 from rodjax.generalized_alpha import GeneralizedAlpha
 from rodjax.results import Result
 from rodjax.rod import Section, straight_rod
-from rodjax.rollout import rollout
 from rodjax.run import join_runs
 from rodjax.scene import Scene
 from rodjax.step_control import StepControl

@@ -14,7 +14,7 @@ from rodjax.ends import Clamped, Slider, Switched
 from rodjax.loads import Gravity, MorisonDrag
 from rodjax.rod import Section, straight_rod
 from rodjax.scene import Scene
-from rodjax.step import prepare, step
+from rodjax.stepping import prepare, step
 
 CONTACT = {"contact.py", "screening.py", "contact_forces.py", "contact_laws.py"}
 

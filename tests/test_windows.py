@@ -10,7 +10,7 @@ import pytest
 from helpers import driven_scene
 
 from rodjax.consistency import start
-from rodjax.rollout import rollout
+from rodjax.fixed_rollout import rollout
 from rodjax.windows import cut, defects, roll
 
 

@@ -18,7 +18,7 @@ from rodjax.results import Result
 from rodjax.run import Run
 from rodjax.scene import Scene
 from rodjax.state import State
-from rodjax.step import prepare, step
+from rodjax.stepping import prepare, step
 
 
 def _is_traced(*trees) -> bool:

@@ -19,7 +19,7 @@ from jaxtyping import Array, Bool, Float
 
 from rodjax import balance
 from rodjax.compilation import compiled
-from rodjax.equilibrium import check_held
+from rodjax.load_path import check_held
 from rodjax.scene import Scene, projectors
 from rodjax.state import State
 from rodjax.statics import at_rest, moved, static_balance

@@ -7,10 +7,10 @@ from jax import lax
 from jaxtyping import Array, Float
 
 from rodjax.compilation import compiled
-from rodjax.equilibrium import check_held
 from rodjax.inertia import inertial_wrench, node_jacobian
+from rodjax.linear_stability import check_count, lowest, reduced_tangent
+from rodjax.load_path import check_held
 from rodjax.scene import Scene
-from rodjax.stability import check_count, lowest, reduced_tangent
 from rodjax.state import State
 from rodjax.statics import at_rest
 
