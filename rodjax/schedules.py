@@ -1,4 +1,8 @@
-"""Prescribed quantities as differentiable functions of time."""
+"""Prescribed quantities as differentiable functions of time.
+
+A schedule with knots rests before its first: a force or shift that shall begin at 1 s does nothing
+until then. Its first knot is a corner like the others.
+"""
 
 import abc
 from collections.abc import Callable
@@ -58,7 +62,10 @@ class Constant(AbstractSchedule):
 
 
 class PiecewiseLinear(AbstractSchedule):
-    """Linear between knots. Its rate jumps at the knots, which lowers the order of convergence."""
+    """Linear between knots, the first value before them.
+
+    Its rate jumps at the knots, which lowers the order of convergence.
+    """
 
     times: Float[Array, " k"] = eqx.field(converter=as_float)
     values: Float[Array, "k *d"] = eqx.field(converter=as_float)
@@ -79,7 +86,10 @@ class PiecewiseLinear(AbstractSchedule):
 
 
 class PiecewiseLinearRate(AbstractSchedule):
-    """The integral from the first knot of a rate that is linear between knots (Fig. 6)."""
+    """The integral from the first knot of a rate that is linear between knots (Fig. 6).
+
+    Before the first knot it is zero and rests, whatever the first rate.
+    """
 
     times: Float[Array, " k"] = eqx.field(converter=as_float)
     rates: Float[Array, "k *d"] = eqx.field(converter=as_float)
@@ -93,7 +103,8 @@ class PiecewiseLinearRate(AbstractSchedule):
         reached = jnp.concatenate([jnp.zeros_like(self.rates[:1]), jnp.cumsum(area, 0)])
         i = _piece(self.times, time)
         rate = _interpolate(self.times, self.rates, time)
-        return reached[i] + 0.5 * (time - self.times[i]) * (self.rates[i] + rate)
+        since = _since(self.times[i], time)
+        return reached[i] + 0.5 * since * (self.rates[i] + rate)
 
     @property
     def until(self):
@@ -105,7 +116,10 @@ class PiecewiseLinearRate(AbstractSchedule):
 
 
 class Smooth(AbstractSchedule):
-    """Quintic steps from knot to knot: rate and acceleration vanish at every knot (C2)."""
+    """Quintic steps from knot to knot: rate and acceleration vanish at every knot (C2).
+
+    The first value before the knots.
+    """
 
     times: Float[Array, " k"] = eqx.field(converter=as_float)
     values: Float[Array, "k *d"] = eqx.field(converter=as_float)
@@ -149,11 +163,16 @@ class Function(AbstractSchedule):
 
 
 def _piece(times, time):
-    """Index of the interval that holds the time; the end intervals serve beyond the knots."""
+    """Index of the interval that holds the time; the end intervals serve outside the knots."""
     return jnp.clip(jnp.searchsorted(times, time, side="right") - 1, 0, times.shape[0] - 2)
+
+
+def _since(knot, time):
+    """Time since a knot, none before it (at the knot the derivative is that of what begins)."""
+    return jnp.where(time < knot, 0.0, time - knot)
 
 
 def _interpolate(times, values, time):
     i = _piece(times, time)
-    x = (time - times[i]) / (times[i + 1] - times[i])
+    x = _since(times[i], time) / (times[i + 1] - times[i])
     return values[i] + x * (values[i + 1] - values[i])

@@ -10,7 +10,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from rodjax import rotations
+from rodjax.adaptive import adaptive_rollout
+from rodjax.consistency import start
 from rodjax.ends import Clamped, Free, Pinned, Slider, Switched, Turn, increments, rates
+from rodjax.loads import PointLoad
 from rodjax.rod import straight_rod
 from rodjax.scene import Scene, projectors
 from rodjax.schedules import (
@@ -99,6 +102,57 @@ def test_vector_schedules_and_derivatives_in_their_knots(kind):
     assert np.all(np.isfinite(by_values)) and float(jnp.max(jnp.abs(by_values))) > 0
     # integers are taken as numbers
     assert kind([0, 2], [0, 1])(at(1.0)).dtype == jnp.float64
+
+
+LATE = [1.0, 2.0, 10.0]
+
+
+@pytest.mark.parametrize("kind", [PiecewiseLinear, PiecewiseLinearRate, Smooth])
+@pytest.mark.parametrize("time", [-3.0, 0.0, 0.5, 1 - 1e-9])
+def test_schedules_rest_before_their_first_knot(kind, time):
+    values = jnp.asarray([[0.3, -1.0], [2.0, 1.0], [0.0, 4.0]])
+    first = jnp.zeros(2) if kind is PiecewiseLinearRate else values[0]
+    schedule = kind(LATE, values)
+    np.testing.assert_array_equal(schedule(at(time)), first)
+    for derivative in (jax.jacfwd, jax.jacrev):
+        np.testing.assert_array_equal(derivative(schedule)(at(time)), 0.0)
+        np.testing.assert_array_equal(derivative(derivative(schedule))(at(time)), 0.0)
+    by_times, by_values = jax.jacrev(lambda t, v: kind(t, v)(at(time)), (0, 1))(
+        jnp.asarray(LATE), values
+    )
+    np.testing.assert_array_equal(by_times, 0.0)
+    expected = np.zeros((2, 3, 2))
+    expected[:, 0] = 0.0 if kind is PiecewiseLinearRate else np.eye(2)
+    np.testing.assert_array_equal(by_values, expected)
+    assert 1.0 in schedule.corners
+
+
+def test_the_first_knot_begins_what_follows():
+    assert float(jax.grad(PiecewiseLinear(LATE, [0.0, 3.0, 3.0]))(at(1.0))) == 3.0
+    rate = PiecewiseLinearRate(LATE, [2.0, 4.0, 4.0])
+    assert float(rate(at(1.0))) == 0.0 and float(jax.grad(rate)(at(1.0))) == 2.0
+    assert float(rate(at(2.0))) == pytest.approx(3.0, abs=1e-15)
+
+
+def test_nothing_moves_before_the_first_knot():
+    knee = [[0.0, 0.0, 0.0], [0.0, 0.1, 0.2], [0.0, 0.1, 0.2]]
+    rod = straight_rod(1.0, 8, UNIT_SECTION, direction=(1.0, 0.0, 0.0))
+    loads = (PointLoad(-1, PiecewiseLinear(LATE, knee), Smooth(LATE, knee)),)
+    turn = Turn((1, 0, 0), PiecewiseLinearRate(LATE, [0.5, 1.0, 1.0]))
+    scene = Scene(rod, Clamped(PiecewiseLinear(LATE, knee), turn), loads=loads)
+    assert sorted({float(corner) for corner in scene.corners}) == LATE
+    run = adaptive_rollout(scene, start(scene), 1.1)
+    times = np.asarray(run.times)
+    assert 1.0 in times  # a step ends there
+    moved = np.max(np.abs(np.asarray(run.states.position) - np.asarray(rod.position)), (1, 2))
+    turned = np.max(np.abs(np.asarray(run.states.quaternion - rod.quaternion)), (1, 2))
+    assert np.max(moved[times <= 1]) < 1e-13 and np.max(turned[times <= 1]) < 1e-13
+    np.testing.assert_allclose(run.final.position[0], [0.0, 0.01, 0.02], atol=1e-12)
+    angle = 0.5 * 0.1 + 0.5 * 0.5 * 0.1**2
+    about = rotations.logarithm(
+        rotations.multiply(run.final.quaternion[0], rotations.conjugate(rod.quaternion[0]))
+    )
+    np.testing.assert_allclose(about, [angle, 0.0, 0.0], atol=1e-12)
 
 
 def test_constant_and_function():
