@@ -33,8 +33,8 @@ MESSAGES = {
         " rounding (use longer steps, or float64)"
     ),
     Result.DRIVE_TOO_FAST: (
-        "an end is turned by half a turn or more in one step, which cannot be told from fewer turns;"
-        " use smaller steps (the adaptive rollout takes them by itself)"
+        "an end is turned by half a turn or more in one step, which cannot be told from fewer"
+        " turns; use smaller steps (the adaptive rollout takes them by itself)"
     ),
     Result.CONTACT_OVERCOME: (
         "strands were pressed closer to each other than the contact law can hold them apart; use a"
