@@ -11,6 +11,9 @@ from jaxtyping import Array, PyTree
 from rodjax.bounds import unknowns_of
 from rodjax.compilation import compiled
 from rodjax.fit_results import FitError, FitResult, Progress, reporting
+from rodjax.results import STEP_FAILED
+
+_ADAM = optax.adam(0.05)  # one for all calls, which then share a compiled program
 
 
 class Minimum(NamedTuple):
@@ -38,8 +41,8 @@ def minimize(
 
     Args:
         loss: from the parameters to a number, differentiable in reverse mode. A step to where it
-            or its gradient is not finite is halved, up to eight times. Compiled once, as in
-            `least_squares`.
+            or its gradient is not finite, or a step of a rollout fails, is halved, up to eight
+            times; other errors are raised. Compiled once, as in `least_squares`.
         optimizer: of optax, for the vector of unknowns; None means `optax.adam(0.05)`, whose
             first step changes every unknown by 0.05.
         tolerance: converged when the next step changes no unknown by more.
@@ -50,15 +53,21 @@ def minimize(
         ValueError: guess and bounds do not fit.
     """
     unknowns = unknowns_of(guess, bounds)
-    optimizer = optax.adam(0.05) if optimizer is None else optimizer
+    optimizer = _ADAM if optimizer is None else optimizer
     best = held = trial = unknowns.vector(unknowns.like)
     memory, shift, history, halvings, evaluations = optimizer.init(trial), 0 * trial, [], 0, 0
     result = FitResult.MAX_STEPS
     with reporting(progress, unknowns, max_steps) as report:
         try:
             while len(history) <= max_steps:
-                value, gradient, step, after = _descend(loss, unknowns, optimizer, trial, memory)
                 evaluations += 1
+                try:
+                    found = _descend(loss, unknowns, optimizer, trial, memory)
+                except STEP_FAILED:
+                    if not history:
+                        raise
+                    found = np.nan, np.nan * trial, shift, memory
+                value, gradient, step, after = found
                 bad = ~np.isfinite(np.asarray(gradient))
                 if np.any(bad) or not np.isfinite(value):
                     if not history:

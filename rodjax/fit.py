@@ -29,6 +29,7 @@ from rodjax.fit_results import (
 )
 from rodjax.marquardt import advance_all, advance_one, begin_all, begin_one
 from rodjax.observations import Observations
+from rodjax.results import STEP_FAILED
 from rodjax.validation import as_float
 
 
@@ -48,8 +49,9 @@ def least_squares(
     Args:
         predict: from the parameters to an array like `observations.values`, differentiable in
             forward mode. A trial is taken back if it or its derivative is not finite there, or if
-            it raises a RuntimeError. It is compiled once for each function: pass the same to
-            repeated fits.
+            a step or another check in compiled code fails; any other error (of memory, a device,
+            a callback) is raised. It is compiled once for each function: pass the same to repeated
+            fits.
         guess: pytree of numbers and arrays to start from.
         bounds: see `bounds.unknowns_of`.
         max_steps: largest number of trials.
@@ -90,7 +92,7 @@ def _fit(problem, start, max_steps, tolerance, threshold, progress) -> Fit:
                     break
                 try:
                     trial = _evaluate(problem, at)
-                except RuntimeError:  # of a check in compiled code
+                except STEP_FAILED:
                     trial = _Point(at, jnp.nan * best.residual, best.jacobian, np.inf)
                 trials += 1
                 if trial.cost < best.cost:
@@ -117,8 +119,8 @@ def several_starts(
 
     All starts step together until three trials have lowered none of their costs by a thousandth.
     The guesses lie along the leading axis of every array; the other arguments, and what is
-    raised, are those of `least_squares`, except that a start may fail (be not finite, but not
-    raise an error) where another does not.
+    raised, are those of `least_squares`, except that a start may fail where another does not.
+    (Where one fails by a check, which does not say whose, the starts are evaluated one by one.)
     """
     guesses = jax.tree.map(as_float, guesses)
     counts = {leaf.shape[:1] for leaf in jax.tree.leaves(guesses)}
@@ -129,7 +131,7 @@ def several_starts(
     problem = _Problem(predict, unknowns, observations)
     problem.check_size()
     best = at = jax.vmap(unknowns.vector)(guesses)
-    residual, jacobian = _linearized_all(problem, at)
+    residual, jacobian = _evaluate_all(problem, at)
     costs = _costs(residual, jacobian)
     if not np.any(np.isfinite(costs)):
         raise FitError("guesses: the prediction or its derivative is not finite at any of them")
@@ -142,7 +144,7 @@ def several_starts(
                 if idle or trial == max_steps:
                     break
                 solvers, at, _ = advance_all(residual, jacobian, solvers)
-                residual, jacobian = _linearized_all(problem, at)
+                residual, jacobian = _evaluate_all(problem, at)
                 found = _costs(residual, jacobian)
                 best = jnp.where((found < costs)[:, None], at, best)
                 costs = np.minimum(found, costs)
@@ -229,6 +231,22 @@ _linearized_all = compiled(lambda problem, u: jax.vmap(lambda one: _linearized(p
 def _evaluate(problem, vector) -> _Point:
     residual, jacobian = _linearized_one(problem, vector)
     return _Point(vector, residual, jacobian, float(_costs(residual[None], jacobian[None])[0]))
+
+
+def _evaluate_all(problem, vectors):
+    """Residuals and Jacobians of all starts, NaN of those that fail."""
+    try:
+        return _linearized_all(problem, vectors)
+    except STEP_FAILED:
+        pass
+    found = []
+    for vector in vectors:
+        try:
+            found.append(_linearized_one(problem, vector))
+        except STEP_FAILED:
+            shape = problem.observations.values.size, vector.size
+            found.append((jnp.full(shape[0], jnp.nan), jnp.full(shape, jnp.nan)))
+    return tuple(map(jnp.stack, zip(*found, strict=True)))
 
 
 def _costs(residual, jacobian):

@@ -2,6 +2,7 @@
 
 import enum
 
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Int
@@ -81,6 +82,11 @@ class SimulationError(RuntimeError):
         self.result = Result(result)
         self.partial = partial
         super().__init__(f"{where + ': ' if where else ''}{MESSAGES[self.result]}")
+
+
+# How a step says that it failed: outside traced code, or by a check in a compiled program. Faults
+# of the machine or of a program (memory, a device, a callback) are RuntimeErrors, but not these.
+STEP_FAILED = (SimulationError, eqx.EquinoxRuntimeError)
 
 
 def join(*codes: Int[Array, ""]) -> Int[Array, ""]:

@@ -6,7 +6,9 @@ import jax.numpy as jnp
 import numpy as np
 import optax
 import pytest
+from jax import lax
 
+from rodjax import descent, fit
 from rodjax.bounds import Interval, Positive, Unbounded
 from rodjax.consistency import start
 from rodjax.descent import minimize
@@ -328,6 +330,95 @@ def test_other_exceptions_pass():
 
     with pytest.raises(RuntimeError, match="of the caller"):
         least_squares(decay, GUESS, noisy(), progress=progress)
+
+
+def out_of_memory(*_):
+    raise jax.errors.JaxRuntimeError(
+        "RESOURCE_EXHAUSTED: Out of memory allocating 8589934592 bytes"
+    )
+
+
+def faulty_callback(p, limit):
+    """The decay, by way of the host, where the machine fails above the limit."""
+
+    def on_host(k):
+        if k > limit:
+            raise OSError("a disk that is full")
+        return np.asarray(k)
+
+    host = lambda k: jax.pure_callback(on_host, jax.ShapeDtypeStruct((), k.dtype), k)
+    seen = lax.stop_gradient(host(lax.stop_gradient(p["k"])))
+    return decay({"a": p["a"], "k": p["k"] + 0 * seen})
+
+
+def runs_out_after(monkeypatch, module, name, count):
+    """The compiled program, which runs out of memory after so many calls."""
+    program, calls = getattr(module, name), []
+
+    def one(*arguments):
+        calls.append(1)
+        return program(*arguments) if len(calls) <= count else out_of_memory()
+
+    monkeypatch.setattr(module, name, one)
+
+
+@pytest.mark.parametrize("count", [0, 1, 2, 4])
+def test_faults_of_the_machine_are_raised(monkeypatch, count):
+    """Whenever they come, and by whatever function: no half-way result."""
+    fault = pytest.raises(jax.errors.JaxRuntimeError, match="RESOURCE_EXHAUSTED")
+    runs_out_after(monkeypatch, fit, "_linearized_one", count)
+    with fault:
+        least_squares(decay, GUESS, EXACT)
+    runs_out_after(monkeypatch, fit, "_linearized_all", count)
+    with fault:
+        several_starts(wave, {"size": jnp.ones(5), "rate": RATES}, WAVE, bounds=Positive())
+    runs_out_after(monkeypatch, descent, "_descend", count)
+    with fault:
+        minimize(valley, {"x": -1.0, "y": 0.5})
+
+
+def test_faults_of_a_callback_are_raised():
+    """JAX reports them by a RuntimeError or a ValueError, from the compiled program."""
+    predict = lambda p: faulty_callback(p, 1.35)
+    loss = lambda p: jnp.sum((predict(p) - EXACT.values) ** 2)
+    guess = {"a": 0.3, "k": 1.2}
+    starts = jax.tree.map(lambda leaf: jnp.array([leaf, leaf]), guess)
+    for run in (
+        lambda: least_squares(predict, guess, EXACT),
+        lambda: several_starts(predict, starts, EXACT),
+        lambda: minimize(loss, guess),
+    ):
+        with pytest.raises((RuntimeError, ValueError), match="a disk that is full"):
+            run()
+
+
+def test_starts_that_fail_by_a_check_lose():
+    """Like those that are not finite."""
+    predict = lambda p: eqx.error_if(wave(p), p["rate"] > 9, "a check of the simulation")
+    guesses = {"size": jnp.ones(3), "rate": jnp.array([9.5, 6.5, 2.0])}
+    found = several_starts(predict, guesses, WAVE)
+    assert np.isinf(found.costs[0]) and np.all(np.isfinite(found.costs[1:]))
+    assert found.best.parameters["rate"] == pytest.approx(7, rel=1e-8)
+
+
+def test_minimize_halves_steps_that_a_check_stops():
+    walled = lambda x: x - jnp.log(eqx.error_if(x, x < 0, "a check of the simulation"))
+    found = minimize(walled, 1.5, optimizer=optax.sgd(6.0), max_steps=1, bounds=Unbounded())
+    assert found.history[1] == pytest.approx(0.5 - np.log(0.5), rel=1e-12)
+    with pytest.raises(eqx.EquinoxRuntimeError, match="a check"):
+        minimize(walled, -1.0, bounds=Unbounded())
+
+
+def test_repeated_minimizations_share_a_program():
+    traces = []
+
+    def loss(p):
+        traces.append(1)
+        return valley(p)
+
+    for x in (-1.0, 0.3):
+        minimize(loss, {"x": x, "y": 0.5}, max_steps=3)
+    assert len(traces) == 1
 
 
 def test_one_compilation_serves_all_steps_and_fits():
