@@ -2,16 +2,24 @@
 
 Data flows one way: a `Rod` with ends, loads and contact makes a `Scene`; `start` gives a consistent
 `State`; `step`, `rollout`, `adaptive_rollout` advance it and `equilibrium` rests it; the modules
-`energy`, `measures` and `topology` measure it, `storage` keeps it, `plot` shows it;
-`least_squares` and `minimize` fit what was given to what was observed.
+`energy`, `measures` and `topology` measure it, `storage` keeps it in files, `plot` shows it, in the
+names of `units`; `least_squares` and `minimize` fit what was given to what was observed, over
+`windows` where a motion forks; `sweep` maps a function over many scenes. `rotations` holds the
+quaternions that all of them speak in; `paper_scheme` and `semidiscrete` solve the same scene in two
+other ways, to check the first by. `jit` compiles a caller's own function as the library compiles
+its own.
 
 Double precision is the caller's choice: `jax.config.update("jax_enable_x64", True)`.
 """
+
+import importlib
+from typing import TYPE_CHECKING
 
 from rodjax.adaptive import adaptive_rollout as adaptive_rollout
 from rodjax.bounds import Interval as Interval
 from rodjax.bounds import Positive as Positive
 from rodjax.bounds import Unbounded as Unbounded
+from rodjax.compilation import jit as jit
 from rodjax.consistency import start as start
 from rodjax.contact import Contact as Contact
 from rodjax.contact_laws import AbstractLaw as AbstractLaw
@@ -69,6 +77,19 @@ from rodjax.state import State as State
 from rodjax.step_control import StepControl as StepControl
 from rodjax.stepping import step as step
 
+if TYPE_CHECKING:
+    from rodjax import energy as energy
+    from rodjax import measures as measures
+    from rodjax import paper_scheme as paper_scheme
+    from rodjax import plot as plot
+    from rodjax import rotations as rotations
+    from rodjax import semidiscrete as semidiscrete
+    from rodjax import storage as storage
+    from rodjax import sweep as sweep
+    from rodjax import topology as topology
+    from rodjax import units as units
+    from rodjax import windows as windows
+
 __version__ = "0.1.0"
 
 __all__ = [
@@ -119,17 +140,40 @@ __all__ = [
     "adaptive_rollout",
     "circular_section",
     "curved_rod",
+    "energy",
     "equilibrium",
     "extrapolate",
+    "jit",
     "least_squares",
+    "measures",
     "minimize",
+    "paper_scheme",
     "placing",
+    "plot",
     "positions_at",
     "rollout",
+    "rotations",
+    "semidiscrete",
     "several_starts",
     "stability",
     "start",
     "step",
+    "storage",
     "straight_rod",
+    "sweep",
+    "topology",
+    "units",
     "vibration",
+    "windows",
 ]
+
+
+def __getattr__(name: str):
+    """Public modules that the import of the package leaves out (HDF5 alone takes a tenth of it)."""
+    if name in __all__:
+        return importlib.import_module(f"rodjax.{name}")
+    raise AttributeError(f"module 'rodjax' has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    return list(__all__)
