@@ -15,12 +15,18 @@ import jax
 import jax.core
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from rodjax import rotations
 from rodjax.rod import Rod
 from rodjax.schedules import AbstractSchedule
-from rodjax.validation import as_float, as_float_or_none, check_not_negative
+from rodjax.validation import (
+    as_float,
+    as_float_or_none,
+    as_traced,
+    check_not_negative,
+    known,
+)
 
 
 class NodeMotion(NamedTuple):
@@ -207,25 +213,35 @@ class DistributedLoad(AbstractLoad):
 
     `function(parameters, s, motion)` returns (n+1, 6): force per length in inertial axes, moment
     per length in body axes, each row from its own node of `motion` (a `NodeMotion`) only;
-    `parameters` is any pytree of arrays and can be differentiated.
+    `parameters` is any pytree of numbers and arrays, which can be differentiated and change
+    without a new compilation (the function cannot: pass the same).
     """
 
     function: Callable = eqx.field(static=True)
-    parameters: object = None
+    parameters: object = eqx.field(converter=as_traced, default=None)
 
     def wrench(self, rod, motion):
         per_length = self.function(self.parameters, rod.arc_length, motion)
         return rod.node_length[:, None] * per_length
 
 
+def _node_number(node):
+    """The number as an array, which does not make the program."""
+    kind = getattr(node, "dtype", None) or np.asarray(node).dtype
+    if np.shape(node) != () or not jnp.issubdtype(kind, jnp.integer):
+        raise ValueError(f"node: give the number of one node, an integer; got {node}")
+    return jnp.asarray(node, jnp.int32)
+
+
 class PointLoad(AbstractLoad):
     """Force and moment on one node (0 and -1 are the ends), dead or following the cross-section.
 
-    `force`, `moment`: schedules of three components [N], [N m]; inertial axes when dead, body
-    axes when `follower`.
+    `node`: its number, negative from the end s = L; one that the rod lacks is refused by the
+    scene, and gives NaN where it is traced. `force`, `moment`: schedules of three components [N],
+    [N m]; inertial axes when dead, body axes when `follower`.
     """
 
-    node: int = eqx.field(static=True)
+    node: Int[Array, ""] = eqx.field(converter=_node_number)
     force: AbstractSchedule | None = None
     moment: AbstractSchedule | None = None
     follower: bool = eqx.field(static=True, default=False)
@@ -241,11 +257,13 @@ class PointLoad(AbstractLoad):
         return {name: schedule for name, schedule in both.items() if schedule is not None}
 
     def check(self, rod):
-        if not -rod.elements - 1 <= self.node <= rod.elements:
+        if known(self.node) and not -rod.elements - 1 <= int(self.node) <= rod.elements:
             raise ValueError(f"node: {self.node} is not one of the {rod.elements + 1} nodes")
 
     def wrench(self, rod, motion):
-        frame = motion.quaternion[self.node]
+        nodes = rod.elements + 1
+        node = jnp.where(self.node < 0, self.node + nodes, self.node)
+        frame = motion.quaternion[node]
         zero = jnp.zeros((3,), frame.dtype)
         force = zero if self.force is None else self.force(motion.time)
         moment = zero if self.moment is None else self.moment(motion.time)
@@ -254,7 +272,9 @@ class PointLoad(AbstractLoad):
         else:
             moment = rotations.rotate_inverse(frame, moment)
         both = jnp.concatenate([force, moment])
-        return jnp.zeros((rod.elements + 1, 6), both.dtype).at[self.node].set(both)
+        here = jnp.arange(nodes)[:, None] == node
+        elsewhere = jnp.where((node >= 0) & (node < nodes), 0.0, jnp.nan)
+        return jnp.where(here, both, elsewhere.astype(both.dtype))
 
 
 def total_wrench(

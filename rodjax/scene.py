@@ -1,6 +1,7 @@
 """A scene: one rod, what holds its ends, what loads it, and whether it touches itself."""
 
 import equinox as eqx
+import jax
 import jax.core
 import jax.numpy as jnp
 import numpy as np
@@ -10,16 +11,24 @@ from rodjax.contact import Contact
 from rodjax.ends import AbstractEnd, Free
 from rodjax.loads import AbstractLoad, LinearDrag
 from rodjax.rod import Rod
+from rodjax.validation import as_traced
+
+
+def _with_arrays(part):
+    """The part with floating point numbers in it as arrays; whole ones may be indices or sizes."""
+    is_number = lambda leaf: isinstance(leaf, float | np.floating | np.ndarray)
+    return jax.tree.map(lambda leaf: as_traced(leaf) if is_number(leaf) else leaf, part)
 
 
 class Scene(eqx.Module):
     """Everything that is given; what is None or empty is absent from the traced program."""
 
     rod: Rod
-    first_end: AbstractEnd = Free()
-    last_end: AbstractEnd = Free()
-    loads: tuple[AbstractLoad, ...] = ()
-    contact: Contact | None = None
+    # Python's numbers in classes of the user's would be compiled in, each anew
+    first_end: AbstractEnd = eqx.field(converter=_with_arrays, default=Free())
+    last_end: AbstractEnd = eqx.field(converter=_with_arrays, default=Free())
+    loads: tuple[AbstractLoad, ...] = eqx.field(converter=_with_arrays, default=())
+    contact: Contact | None = eqx.field(converter=_with_arrays, default=None)
 
     def __check_init__(self):
         if not isinstance(self.loads, tuple):

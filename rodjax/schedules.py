@@ -5,9 +5,11 @@ until then. Its first knot is a corner like the others.
 """
 
 import abc
+import operator
 from collections.abc import Callable
 
 import equinox as eqx
+import jax
 import jax.core
 import jax.numpy as jnp
 import numpy as np
@@ -33,11 +35,30 @@ class AbstractSchedule(eqx.Module):
         """Times at which a derivative jumps, where adaptive steps should end [s]."""
         return jnp.zeros((0,))
 
+    def padded(self, knots: int) -> "AbstractSchedule":
+        """The same schedule with so many knots: programs are compiled anew for another number.
+
+        Raises:
+            ValueError: it has more.
+        """
+        return self
+
+
+def _padded(schedule, knots):
+    """The first knot repeated, in every array: nothing changes, there or later."""
+    more = operator.index(knots) - schedule.times.shape[0]
+    if more < 0:
+        raise ValueError(f"knots: must be at least the {schedule.times.shape[0]} there are")
+    repeat = lambda leaf: jnp.concatenate([jnp.repeat(leaf[:1], more, 0), leaf])
+    return jax.tree.map(repeat, schedule)
+
 
 def _check_knots(times, values, name="values"):
     if isinstance(times, jax.core.Tracer) or not hasattr(times, "shape"):
         return
-    increasing = times.ndim == 1 and times.shape[0] >= 2 and np.all(np.diff(times) > 0)
+    steps = np.diff(times) if times.ndim == 1 else np.zeros(0)
+    steps = np.trim_zeros(steps, "f")  # the first knot may be repeated, see `padded`
+    increasing = steps.size > 0 and np.all(steps > 0)
     if not increasing or not np.all(np.isfinite(times)):
         raise ValueError("times: give at least two, finite and strictly increasing")
     if values.shape[:1] != times.shape:
@@ -84,6 +105,9 @@ class PiecewiseLinear(AbstractSchedule):
     def corners(self):
         return self.times
 
+    def padded(self, knots):
+        return _padded(self, knots)
+
 
 class PiecewiseLinearRate(AbstractSchedule):
     """The integral from the first knot of a rate that is linear between knots (Fig. 6).
@@ -114,6 +138,9 @@ class PiecewiseLinearRate(AbstractSchedule):
     def corners(self):
         return self.times
 
+    def padded(self, knots):
+        return _padded(self, knots)
+
 
 class Smooth(AbstractSchedule):
     """Quintic steps from knot to knot: rate and acceleration vanish at every knot (C2).
@@ -129,7 +156,7 @@ class Smooth(AbstractSchedule):
 
     def __call__(self, time):
         i = _piece(self.times, time)
-        x = (time - self.times[i]) / (self.times[i + 1] - self.times[i])
+        x = (time - self.times[i]) / _span(self.times, i)
         # not by clip, whose derivative at a knot is half that of the piece that begins there
         x = jnp.where(x < 0, 0.0, jnp.where(x > 1, 1.0, x))
         blend = x**3 * (10 - 15 * x + 6 * x**2)
@@ -143,6 +170,9 @@ class Smooth(AbstractSchedule):
     def corners(self):
         return self.times
 
+    def padded(self, knots):
+        return _padded(self, knots)
+
 
 class Function(AbstractSchedule):
     """Any differentiable function of time, valid until the time given.
@@ -152,7 +182,7 @@ class Function(AbstractSchedule):
     """
 
     function: Callable = eqx.field(static=True)
-    last: float = eqx.field(static=True, default=float("inf"))
+    last: Float[Array, ""] = eqx.field(converter=as_float, default=float("inf"))
 
     def __call__(self, time):
         return self.function(time)
@@ -167,6 +197,12 @@ def _piece(times, time):
     return jnp.clip(jnp.searchsorted(times, time, side="right") - 1, 0, times.shape[0] - 2)
 
 
+def _span(times, i):
+    """Length of an interval; of those between repeated knots, which no time is in, one."""
+    span = times[i + 1] - times[i]
+    return jnp.where(span > 0, span, 1.0)
+
+
 def _since(knot, time):
     """Time since a knot, none before it (at the knot the derivative is that of what begins)."""
     return jnp.where(time < knot, 0.0, time - knot)
@@ -174,5 +210,5 @@ def _since(knot, time):
 
 def _interpolate(times, values, time):
     i = _piece(times, time)
-    x = _since(times[i], time) / (times[i + 1] - times[i])
+    x = _since(times[i], time) / _span(times, i)
     return values[i] + x * (values[i + 1] - values[i])

@@ -4,6 +4,7 @@ Values that are traced, or put in place of arrays by a transformation, are not c
 not use an operation of jax: in traced code even known arrays become traced by one.
 """
 
+import jax
 import jax.core
 import jax.numpy as jnp
 import numpy as np
@@ -17,6 +18,21 @@ def as_float(value):
 def as_float_or_none(value):
     """`as_float` of what may be left out."""
     return None if value is None else as_float(value)
+
+
+def as_traced(tree):
+    """The pytree with its numbers as arrays of full type, which are traced, not compiled in.
+
+    Truth values, texts and functions stay what they are.
+    """
+
+    def convert(leaf):
+        number = isinstance(leaf, int | float | complex | np.number) and not isinstance(leaf, bool)
+        if number or isinstance(leaf, np.ndarray) or getattr(leaf, "weak_type", False):
+            return jnp.asarray(leaf, jnp.asarray(leaf).dtype)
+        return leaf
+
+    return jax.tree.map(convert, tree)
 
 
 def known(value) -> bool:

@@ -26,6 +26,7 @@ from rodjax.scene import Scene
 from rodjax.schedules import Constant, Smooth
 
 ELEMENTS = 4
+UP = (0.0, 0.0, 1.0)
 NAN = float("nan")
 few = settings(max_examples=25, deadline=None)
 CONE = Section(
@@ -151,6 +152,36 @@ def test_point_load_dead_and_follower(node):
     np.testing.assert_array_equal(only[:, :3], 0.0)
 
 
+def test_node_of_a_point_load_may_be_traced():
+    """From either end; NaN at a number that the rod lacks, where it cannot be refused."""
+    at = lambda node: PointLoad(node, Constant(UP)).wrench(ROD, motion_of(7))
+    numbers = jnp.arange(-ELEMENTS - 2, ELEMENTS + 2)
+    found = np.asarray(jax.vmap(at)(numbers))
+    for number, wrench in zip(np.asarray(numbers), found, strict=True):
+        if not -ELEMENTS - 1 <= number <= ELEMENTS:
+            assert np.all(np.isnan(wrench))
+            continue
+        expected = np.zeros((ELEMENTS + 1, 6))
+        expected[number, :3] = UP
+        np.testing.assert_array_equal(wrench, expected)
+
+
+@pytest.mark.parametrize("node", [1.0, True, None, "last", (0,), np.array([1]), 2 + 0j, np.nan])
+def test_a_node_is_one_integer(node):
+    with pytest.raises(ValueError, match="node: give the number of one node"):
+        PointLoad(node, Constant(UP))
+
+
+def test_numbers_of_a_distributed_load_are_traced():
+    """Of full type, whatever they were; what is not a number stays."""
+    given = {"a": 2.0, "b": 3, "c": np.float32(1), "d": jnp.asarray(1.0), "e": True, "f": "x"}
+    held = DistributedLoad(lambda *_: None, given).parameters
+    for name in "abcd":
+        assert isinstance(held[name], jax.Array) and not held[name].weak_type
+    assert held["a"].dtype == jnp.float64 and held["b"].dtype == jnp.int64
+    assert held["e"] is True and held["f"] == "x"
+
+
 def test_distributed_load_with_parameters():
     def wind(parameters, s, motion):
         force = parameters["speed"] * jnp.sin(s)[:, None] * jnp.asarray([[1.0, 0.0, 0.0]])
@@ -239,7 +270,6 @@ def test_total_is_the_sum():
 
 BARE = straight_rod(1.0, 3, Section(stiffness=(1.0, 1.0, 1.0), mass=1.0))
 LIGHT = straight_rod(1.0, 3, Section(stiffness=(1.0, 1.0, 1.0)))
-UP = (0.0, 0.0, 1.0)
 REFUSALS = {
     "gravity of two": ("acceleration", lambda: Gravity((0.0, 1.0))),
     "gravity of one": ("acceleration", lambda: Gravity(9.81)),

@@ -1,5 +1,7 @@
 """Schedules of time, and the ends that they move."""
 
+import dataclasses
+
 import jax
 import jax.numpy as jnp
 import jaxtyping
@@ -303,3 +305,26 @@ def test_schedule_that_ends_early_is_refused():
     with pytest.raises(ValueError, match=r"last_end.rotation: its schedule ends at 4"):
         turned = Clamped(rotation=Turn((0, 0, 1), Smooth([0, 4], [0, 1])))
         Scene(rod, Free(), turned).check_until(5.0)
+
+
+@pytest.mark.parametrize("kind", [PiecewiseLinear, PiecewiseLinearRate, Smooth])
+def test_padded_schedules_are_the_same(kind):
+    """Values and rates at, between and outside the knots; so are last time and corners."""
+    schedule = kind([0.5, 0.9, 2.0], [[1.0, 2.0], [-1.0, 0.5], [0.3, 0.2]])
+    padded = schedule.padded(7)
+    assert padded.times.shape == (7,) and padded.until == schedule.until
+    assert set(np.asarray(padded.corners)) == set(np.asarray(schedule.corners))
+    times = jnp.array([0.0, 0.5, 0.7, 0.9, 1.7, 2.0])
+    motion = lambda s: jax.vmap(lambda t: jax.jvp(s, (t,), (jnp.ones_like(t),)))(times)
+    for found, expected in zip(motion(padded), motion(schedule), strict=True):
+        np.testing.assert_array_equal(found, expected)
+    slope = jax.grad(lambda s: jnp.sum(s(jnp.asarray(1.7)) + s(jnp.asarray(0.1))))
+    for found, expected in zip(*map(jax.tree.leaves, map(slope, (padded, schedule))), strict=True):
+        assert np.all(np.isfinite(found))
+        total = lambda leaf: np.concatenate([np.sum(leaf[:-2], 0)[None], leaf[-2:]])
+        np.testing.assert_allclose(total(found), total(expected), atol=1e-13)
+    again = dataclasses.replace(padded)  # passes the checks
+    assert again.padded(9).times.shape == (9,)
+    with pytest.raises(ValueError, match="knots: must be at least the 3"):
+        schedule.padded(2)
+    assert Constant(1.0).padded(4)(0.0) == 1
