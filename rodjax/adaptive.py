@@ -11,12 +11,12 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Bool, Int
 
-from rodjax import passages, results
+from rodjax import drives, passages, results
 from rodjax.compilation import compiled
 from rodjax.consistency import compiled_restart, start
 from rodjax.generalized_alpha import GeneralizedAlpha
 from rodjax.load_path import placing
-from rodjax.results import Result
+from rodjax.results import Result, as_code
 from rodjax.run import Run, join_runs
 from rodjax.scene import Scene
 from rodjax.state import State
@@ -117,6 +117,10 @@ def adaptive_rollout(
         if on_chunk is not None and count:
             on_chunk(parts[-1])
     run = join_runs(state, parts)
+    allowed = method.newton_error(dtype, accepted)
+    if code is Result.SUCCESS and drives.astray(scene, run.states, allowed):
+        code = Result.DRIVE_MISSED
+        run = dataclasses.replace(run, result=as_code(code))
     if throw:
         results.raise_if_failed(code, f"after t = {float(current.time):g}", run)
     return run

@@ -11,10 +11,10 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Float
 
-from rodjax import newton, passages, resolution, results
+from rodjax import drives, newton, passages, resolution, results
 from rodjax.compilation import compiled
 from rodjax.generalized_alpha import GeneralizedAlpha
-from rodjax.results import Result
+from rodjax.results import Result, as_code
 from rodjax.run import Run
 from rodjax.scene import Scene
 from rodjax.state import State
@@ -68,10 +68,12 @@ def rollout(
         check_times(scene, state, times)
         method.check_precision(state.position.dtype)
     run = _rollout(scene, state, times, method, save_every)
-    ended = not _is_traced(run) and int(run.result) == Result.SUCCESS
-    if ended and passages.passed_unseen(scene, state, run.final):
-        passed = jnp.asarray(int(Result.STRAND_PASSAGE), jnp.int32)
-        run = dataclasses.replace(run, result=passed)
+    if not _is_traced(run) and int(run.result) == Result.SUCCESS:
+        allowed = method.newton_error(state.position.dtype, times.shape[0])
+        if passages.passed_unseen(scene, state, run.final):
+            run = dataclasses.replace(run, result=as_code(Result.STRAND_PASSAGE))
+        elif drives.astray(scene, run.states, allowed):
+            run = dataclasses.replace(run, result=as_code(Result.DRIVE_MISSED))
     if throw:
         if _is_traced(run.result):
             message = "a step failed; call with throw=False and look at `result`"

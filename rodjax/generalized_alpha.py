@@ -77,6 +77,13 @@ class GeneralizedAlpha(eqx.Module):
             return self.tolerance.astype(dtype)
         return jnp.asarray(1e-10 if jnp.finfo(dtype).eps < 1e-12 else 2e-5, dtype)
 
+    def newton_error(self, dtype, steps: int) -> float:
+        """What Newton's tolerance lets the ends be off after so many steps (outside traced code).
+
+        In element lengths and radians.
+        """
+        return 10 * steps * float(self.newton_tolerance(dtype))
+
 
 class Coefficients(NamedTuple):
     """Numbers of one step."""

@@ -21,12 +21,16 @@ from rodjax.strains import curvature, element_quaternions, strains
 
 
 def twist(state: State) -> Float[Array, ""]:
-    """Twist of the polygon of nodes between the frames of both ends [turns]: Tw of Tw + Wr = Lk."""
+    """Twist of the polygon of nodes between the frames of both ends [turns]: Tw of Tw + Wr = Lk.
+
+    Right as long as no element is twisted by a revolution (a step refuses 0.9 of one).
+    """
     return topology.twist(
         state.position,
         element_quaternions(state.quaternion),
         start_frame=state.quaternion[0],
         end_frame=state.quaternion[-1],
+        signed=True,
     )
 
 

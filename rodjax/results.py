@@ -24,6 +24,7 @@ class Result(enum.IntEnum):
     DRIVE_TOO_FAST = 10
     CONTACT_OVERCOME = 11
     INTERRUPTED = 12
+    DRIVE_MISSED = 13  # only of runs in which nothing failed
 
 
 MESSAGES = {
@@ -42,6 +43,11 @@ MESSAGES = {
         " stronger law, for solids `Contact.solid` with the force expected"
     ),
     Result.INTERRUPTED: "stopped by the user; what was computed until then is kept",
+    Result.DRIVE_MISSED: (
+        "an end is not where its schedule puts it at the end of the run, though no step failed; a"
+        " schedule must be a function of time alone (and a `Function` must not read what changes"
+        " after its first use), and a user's end must tell its `switch_times`"
+    ),
     Result.STEP_TOO_SMALL: (
         "the step fell below min_step without an acceptable solution; the motion is too fast or the"
         " contact too stiff for the grid: use more elements, a softer law, or a smaller min_step"
@@ -87,6 +93,11 @@ class SimulationError(RuntimeError):
 # How a step says that it failed: outside traced code, or by a check in a compiled program. Faults
 # of the machine or of a program (memory, a device, a callback) are RuntimeErrors, but not these.
 STEP_FAILED = (SimulationError, eqx.EquinoxRuntimeError)
+
+
+def as_code(result: Result) -> Int[Array, ""]:
+    """A result as traced code holds it."""
+    return jnp.asarray(int(result), jnp.int32)
 
 
 def join(*codes: Int[Array, ""]) -> Int[Array, ""]:

@@ -8,7 +8,7 @@ from jax import lax
 from jax.ad_checkpoint import checkpoint_name
 from jaxtyping import Array, Bool, Float, Int
 
-from rodjax import newton, rotations, screening
+from rodjax import drives, newton, rotations, screening
 from rodjax.batching import only_where
 from rodjax.consistency import project
 from rodjax.coupled import find_nearby
@@ -140,7 +140,11 @@ def advance_to(
         equations = StepEquations(scene, state, stop, radius, nearby)
     guess = equations.limited(guess)
     tolerance = method.newton_tolerance(state.position.dtype)
-    x, solved = newton.solve(equations, guess, tolerance, method.max_iterations)
+    iterations = method.max_iterations
+    too_fast = drives.too_fast(scene, state.time, stop, state.quaternion)
+    if too_fast is not None:  # what it would find is whole turns behind
+        iterations = jnp.where(too_fast, 0, iterations)
+    x, solved = newton.solve(equations, guess, tolerance, iterations)
     increment = equations.increment(x)
     c = equations.coefficients
     rate, acceleration, auxiliary = advance(
@@ -173,6 +177,8 @@ def advance_to(
     turned_far = (largest(increment[:, 3:]) > jnp.pi) | wound
     code = jnp.where(turned_far, Result.ROTATION_TOO_LARGE, Result.SUCCESS)
     code = join(solved.result, contact_code, code)
+    if too_fast is not None:
+        code = join(code, jnp.where(too_fast, Result.DRIVE_TOO_FAST, Result.SUCCESS))
     info = StepInfo(
         result=checkpoint_name(code, newton.SOLUTION),
         iterations=solved.iterations,

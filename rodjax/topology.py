@@ -87,13 +87,14 @@ def twist(
     *,
     start_frame: Float[Array, "4"] | None = None,
     end_frame: Float[Array, "4"] | None = None,
+    signed: bool = False,
 ) -> Float[Array, ""]:
     """Twist of the framed polygon, such that twist + writhe is its linking number to round-off.
 
     At every vertex the frame of one element is carried to the next edge by parallel transport (the
     smallest rotation between the two edges); the angle that remains about the next edge, between
-    -pi and pi, is the twist of that vertex. A frame whose third axis is off its edge, as in a
-    shearable rod, is first put on the edge by the smallest rotation.
+    -pi and pi (`signed`: -2 pi and 2 pi), is the twist of that vertex. A frame whose third axis is
+    off its edge, as in a shearable rod, is first put on the edge by the smallest rotation.
 
     Args:
         positions: nodes [m], consecutive ones distinct.
@@ -102,9 +103,11 @@ def twist(
         start_frame: quaternion of the first node's cross-section; its third axis is the tangent
             there. With it the twist between that frame and the first element is included.
         end_frame: the same at the last node.
+        signed: the quaternions follow each other continuously along the rod, as those of a state
+            do, so that q and -q are a turn apart; else their signs do not matter.
 
     Returns:
-        Twist [turns], right-handed positive. The signs of the quaternions do not matter.
+        Twist [turns], right-handed positive.
     """
     frames, directions = [element_frames], [positions[1:] - positions[:-1]]
     if start_frame is not None:
@@ -113,7 +116,7 @@ def twist(
     if end_frame is not None:
         frames.append(end_frame[None, :])
         directions.append(rotations.tangent_director(end_frame)[None, :])
-    return _ribbon_twist(jnp.concatenate(directions), jnp.concatenate(frames))
+    return _ribbon_twist(jnp.concatenate(directions), jnp.concatenate(frames), signed)
 
 
 def twist_integral(
@@ -290,15 +293,19 @@ def _(primals, tangents):
     return value, -jnp.pi * twist_change
 
 
-def _ribbon_twist(directions: Float[Array, "n 3"], frames: Float[Array, "n 4"]) -> Float[Array, ""]:
+def _ribbon_twist(
+    directions: Float[Array, "n 3"], frames: Float[Array, "n 4"], signed: bool = False
+) -> Float[Array, ""]:
     """Twist [turns] of frames, each first put on its direction, between consecutive directions.
 
     The relative rotation (w, x, y, z) of two frames is the smallest rotation that aligns their
-    third axes times a rotation about the third axis by 2 arctan2(z, w).
+    third axes times a rotation about the third axis by 2 arctan2(z, w), whose branch tells a turn
+    where the signs of the frames count.
     """
     frames = _align(frames, directions)
     w, _, _, z = rotations.multiply(rotations.conjugate(frames[:-1]), frames[1:]).T
-    flip, regular = w < 0, (w != 0) | (z != 0)  # either sign is the same rotation
+    regular = (w != 0) | (z != 0)
+    flip = jnp.zeros_like(regular) if signed else w < 0  # either sign is the same rotation
     angles = jnp.arctan2(jnp.where(flip, -z, z), jnp.where(regular, jnp.where(flip, -w, w), 1.0))
     return jnp.sum(angles) / jnp.pi
 
