@@ -10,6 +10,7 @@ from jaxtyping import Array, Float
 from rodjax.contact import Contact
 from rodjax.ends import AbstractEnd, Free
 from rodjax.loads import AbstractLoad, LinearDrag
+from rodjax.probing import check_end, check_local
 from rodjax.rod import Rod
 from rodjax.validation import as_traced
 
@@ -37,6 +38,10 @@ class Scene(eqx.Module):
             load.check(self.rod)
             if load.inertia and self.rod.mass is None:
                 raise ValueError("loads: added mass on a rod with mass=None, which has no inertia")
+        for i, load in enumerate(self.loads):
+            check_local(load, self.rod, f"loads[{i}]")
+        for name, end in zip(("first_end", "last_end"), self.ends, strict=True):
+            check_end(end, name)
         if self.contact is not None:
             self.contact.check(self.rod)
         if self.rod.mass is None:
