@@ -10,34 +10,48 @@ import abc
 
 import equinox as eqx
 import jax
-import jax.core
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
 from rodjax import rotations
-from rodjax.schedules import AbstractSchedule
+from rodjax.schedules import AbstractSchedule, check_schedule
+from rodjax.validation import as_float, check_finite, check_instance, check_scalar, known, shown
 
 
 def _unit(vector):
-    vector = jnp.asarray(vector, jnp.result_type(float))
-    if not isinstance(vector, jax.core.Tracer):
-        norm = np.linalg.norm(vector)
-        if vector.shape != (3,) or not norm > 0 or not np.isfinite(norm):
-            raise ValueError(f"axis: give three finite components, not all zero; got {vector}")
-    return vector / jnp.linalg.norm(vector)
+    """The vector over its length; what has none is left for the check."""
+    vector = as_float(vector)
+    if not known(vector):
+        traced = isinstance(vector, jax.core.Tracer) and vector.shape == (3,)
+        return vector / jnp.linalg.norm(vector) if traced else vector
+    largest = np.max(np.abs(vector), initial=0.0)
+    if not (0 < largest < np.inf):
+        return vector
+    scaled = np.asarray(vector) / largest  # whose length neither overflows nor vanishes
+    return jnp.asarray(scaled / np.linalg.norm(scaled))
+
+
+def _check_axis(axis):
+    if jnp.shape(axis) != (3,) or (known(axis) and not 0 < np.max(np.abs(axis)) < np.inf):
+        given = np.asarray(axis) if known(axis) else shown(axis)
+        raise ValueError(f"axis: give three finite components, not all zero; got {given}")
 
 
 class Turn(eqx.Module):
-    """Rotation about a fixed inertial axis by a scheduled angle [rad]."""
+    """Rotation about a fixed inertial axis by a scheduled angle.
+
+    Attributes:
+        axis: three inertial components of any length; positive angles turn by the right-hand rule.
+        angle: schedule of the angle [rad] (one turn is 2 pi); only its changes count.
+    """
 
     axis: Float[Array, "3"] = eqx.field(converter=_unit)
     angle: AbstractSchedule
 
     def __check_init__(self):
-        shape = jnp.shape(self.angle(jnp.zeros(())))
-        if shape != ():
-            raise ValueError(f"angle: the schedule must give one number, got shape {shape}")
+        _check_axis(self.axis)
+        check_schedule((), _ANGLE, angle=self.angle)
 
     def __call__(self, time):
         return self.angle(time) * self.axis
@@ -72,62 +86,97 @@ def _translation(directions):
     return jnp.zeros((6, 6)).at[:3, :3].set(directions)
 
 
-def _check_motion(displacement):
+# only changes of schedules count, so what moves an end begins at nothing
+_ANGLE = "give a schedule of the angle [rad], for one turn in a second Smooth([0, 1], [0, 2 * pi])"
+_SHIFT = (
+    "give a schedule of the displacement [m], for 0.1 along z in a second"
+    " Smooth([0, 1], [(0, 0, 0), (0, 0, 0.1)])"
+)
+_TURN = "give Turn(axis, angle), with a schedule of the angle [rad]"
+
+
+def _check_motion(displacement, rotation):
     if displacement is not None:
-        shape = jnp.shape(displacement(jnp.zeros(())))
-        if shape != (3,):
-            raise ValueError(f"displacement: the schedule must give three components, got {shape}")
+        check_schedule((3,), _SHIFT, displacement=displacement)
+    if rotation is not None:
+        check_instance(Turn, _TURN, rotation=rotation)
+
+
+def _check_absent(what, **values):
+    for name, value in values.items():
+        if value is not None:
+            raise ValueError(f"{name}: {what}; leave it out, got {shown(value)}")
 
 
 class Free(AbstractEnd):
-    """No constraint."""
+    """No constraint: position and frame follow from the motion, force and moment are zero."""
 
     displacement: None = None
     rotation: None = None
+
+    def __check_init__(self):
+        what = "a free end is not moved (a clamped or pinned one is)"
+        _check_absent(what, displacement=self.displacement, rotation=self.rotation)
 
     def projector(self, time):
         return jnp.zeros((6, 6))
 
 
 class Clamped(AbstractEnd):
-    """Position and frame prescribed (held where they are without schedules).
+    """Position and frame prescribed: held where they are, or moved by schedules.
 
-    `displacement` [m] is a vector schedule in inertial axes, `rotation` a `Turn`; only their
-    changes count.
+    Attributes:
+        displacement: schedule of three inertial components [m]; only its changes count.
+        rotation: a `Turn`, about an inertial axis through the end's node.
     """
 
     displacement: AbstractSchedule | None = None
     rotation: Turn | None = None
 
     def __check_init__(self):
-        _check_motion(self.displacement)
+        _check_motion(self.displacement, self.rotation)
 
     def projector(self, time):
         return jnp.eye(6)
 
 
 class Pinned(AbstractEnd):
-    """Position prescribed, free to rotate."""
+    """Position prescribed, free to rotate (about its own axis as well).
+
+    Attributes:
+        displacement: schedule of three inertial components [m]; only its changes count.
+    """
 
     displacement: AbstractSchedule | None = None
     rotation: None = None
 
     def __check_init__(self):
-        _check_motion(self.displacement)
+        _check_motion(self.displacement, None)
+        _check_absent(
+            "a pinned end turns freely (a clamped one can be turned)", rotation=self.rotation
+        )
 
     def projector(self, time):
         return _translation(jnp.eye(3))
 
 
 class Slider(AbstractEnd):
-    """No rotation (or a prescribed one) and no motion across `axis`; free to slide along it."""
+    """No rotation (or a prescribed one) and no motion across `axis`; free to slide along it.
+
+    Attributes:
+        axis: direction of sliding, three inertial components of any length.
+        displacement: schedule of three inertial components [m], whose changes across the axis
+            count; along it the end slides as it will.
+        rotation: a `Turn`, about an inertial axis through the end's node.
+    """
 
     axis: Float[Array, "3"] = eqx.field(converter=_unit)
     displacement: AbstractSchedule | None = None
     rotation: Turn | None = None
 
     def __check_init__(self):
-        _check_motion(self.displacement)
+        _check_axis(self.axis)
+        _check_motion(self.displacement, self.rotation)
 
     def projector(self, time):
         return jnp.eye(6) - _translation(jnp.outer(self.axis, self.axis))
@@ -138,23 +187,30 @@ class Switched(AbstractEnd):
 
     Motion schedules are those of whichever end is in force; displacement and rotation given here
     (not in the parts) drive both.
+
+    Attributes:
+        before, after: the ends, neither with schedules of its own; `after` may switch again.
+        at: time of the change [s]; steps end there.
+        displacement: schedule of three inertial components [m]; only its changes count.
+        rotation: a `Turn`, about an inertial axis through the end's node.
     """
 
     before: AbstractEnd
     after: AbstractEnd
-    at: Float[Array, ""] = eqx.field(converter=lambda t: jnp.asarray(t, jnp.result_type(float)))
+    at: Float[Array, ""] = eqx.field(converter=as_float)
     displacement: AbstractSchedule | None = None
     rotation: Turn | None = None
 
     def __check_init__(self):
+        check_end(before=self.before, after=self.after)
+        check_scalar(at=self.at)
+        check_finite(at=self.at)
+        _check_motion(self.displacement, self.rotation)
         parts = (self.before, self.after)
         if any(p.displacement is not None or p.rotation is not None for p in parts):
             raise ValueError(
                 "before, after: give the schedules to Switched itself, not to its parts"
             )
-        known = hasattr(self.at, "shape") and not isinstance(self.at, jax.core.Tracer)
-        if known and not np.all(np.isfinite(np.asarray(self.at))):
-            raise ValueError(f"at: must be finite, got {self.at}")
         if any(isinstance(p, Switched) for p in parts[:1]):
             raise ValueError("before: nest a further switch in `after`")
 
@@ -164,6 +220,11 @@ class Switched(AbstractEnd):
     @property
     def switch_times(self):
         return (self.at, *self.after.switch_times)
+
+
+def check_end(**ends) -> None:
+    """Raise ValueError unless each is an end."""
+    check_instance(AbstractEnd, "give an end: Free(), Clamped(), Pinned(), Slider(axis)", **ends)
 
 
 def impose(

@@ -17,6 +17,23 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 
+_MOST_ITERATIONS = 10_000  # a step that needs more is lost
+
+
+def _as_count(value):
+    """A whole number as an array; what is none is left for the check."""
+    whole = as_integer(value)
+    if isinstance(whole, int) and not isinstance(whole, bool):
+        return jnp.asarray(whole, jnp.int32) if abs(whole) < 2**31 else whole
+    return value.astype(jnp.int32) if isinstance(value, jax.core.Tracer) else value
+
+
+def _check_count(**values):
+    for name, value in values.items():
+        number = value if not known(value) else int(value)
+        check_integer(1, _MOST_ITERATIONS, **{name: number})
+
+
 class GeneralizedAlpha(eqx.Module):
     """Time integration and Newton settings; all of them are traced numbers.
 
@@ -34,31 +51,22 @@ class GeneralizedAlpha(eqx.Module):
         max_iterations: Newton iterations allowed in a step.
     """
 
-    spectral_radius: Float[Array, ""] = eqx.field(
-        converter=lambda x: jnp.asarray(x, jnp.result_type(float)), default=0.5
-    )
-    tolerance: Float[Array, ""] | None = eqx.field(
-        converter=lambda x: None if x is None else jnp.asarray(x, jnp.result_type(float)),
-        default=None,
-    )
-    max_iterations: Int[Array, ""] = eqx.field(
-        converter=lambda n: jnp.asarray(n, jnp.int32), default=20
-    )
+    spectral_radius: Float[Array, ""] = eqx.field(converter=as_float, default=0.5)
+    tolerance: Float[Array, ""] | None = eqx.field(converter=as_float_or_none, default=None)
+    max_iterations: Int[Array, ""] = eqx.field(converter=_as_count, default=20)
 
     def __check_init__(self):
         rho = self.spectral_radius
-        known = hasattr(rho, "shape") and not isinstance(rho, jax.core.Tracer)
-        if known and not (np.all(np.asarray(rho) >= 0) and np.all(np.asarray(rho) < 1)):
+        check_scalar(spectral_radius=rho, max_iterations=self.max_iterations)
+        if known(rho) and not 0 <= rho < 1:
             raise ValueError(
                 f"spectral_radius: must be in [0, 1), got {rho}; at 1 the constraint forces of"
                 " the inextensible rod and its ends are not stable (index 3)"
             )
-        checks = (("tolerance", self.tolerance), ("max_iterations", self.max_iterations))
-        for name, value in checks:
-            if value is None or isinstance(value, jax.core.Tracer) or not hasattr(value, "shape"):
-                continue
-            if not np.all(np.asarray(value) > 0):
-                raise ValueError(f"{name}: must be positive, got {value}")
+        if self.tolerance is not None:
+            check_scalar(tolerance=self.tolerance)
+            check_positive(tolerance=self.tolerance)
+        _check_count(max_iterations=self.max_iterations)
 
     def check_precision(self, dtype) -> None:
         """Raise ValueError if the tolerance is out of reach of the rod's precision."""

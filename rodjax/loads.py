@@ -14,18 +14,25 @@ import equinox as eqx
 import jax
 import jax.core
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Float, Int
 
 from rodjax import rotations
 from rodjax.rod import Rod
-from rodjax.schedules import AbstractSchedule
+from rodjax.schedules import AbstractSchedule, check_schedule
+from rodjax.user_functions import check_function
 from rodjax.validation import (
     as_float,
     as_float_or_none,
     as_traced,
+    check_finite,
+    check_flag,
     check_not_negative,
+    check_numbers,
+    check_scalar,
+    check_shape,
+    given,
     known,
+    shown,
 )
 
 
@@ -41,21 +48,16 @@ class NodeMotion(NamedTuple):
 
 def _check_coefficients(**values):
     """One finite number >= 0 each (or None)."""
-    for name, value in values.items():
-        if hasattr(value, "shape") and value.shape != ():
-            raise ValueError(f"{name}: must be one number, got shape {value.shape}")
+    values = given(**values)
+    check_scalar(**values)
     check_not_negative(**values)
 
 
 def _check_vector(**values):
     """Three finite components each (or None)."""
-    for name, value in values.items():
-        if not hasattr(value, "shape"):
-            continue
-        if value.shape != (3,):
-            raise ValueError(f"{name}: must have three components, got shape {value.shape}")
-        if not isinstance(value, jax.core.Tracer) and not np.all(np.isfinite(value)):
-            raise ValueError(f"{name}: must be finite, got {value}")
+    values = given(**values)
+    check_shape((3,), **values)
+    check_finite(**values)
 
 
 class AbstractLoad(eqx.Module):
@@ -92,12 +94,24 @@ def _need(rod: Rod, name: str, load: str) -> Float[Array, " n"]:
 
 
 class Gravity(AbstractLoad):
-    """Weight less buoyancy, (m - rho_f A_c) g per length, `acceleration` g in inertial axes."""
+    """Weight less buoyancy, (m - rho_f A_c) g per length.
+
+    Attributes:
+        acceleration: g, three inertial components [m/s^2]; downwards along z (0, 0, -9.81).
+        fluid_density: rho_f of the fluid around [kg/m^3]; None for no buoyancy. Needs the rod's
+            `area`.
+    """
 
     acceleration: Float[Array, "3"] = eqx.field(converter=as_float)
     fluid_density: Float[Array, ""] | None = eqx.field(converter=as_float_or_none, default=None)
 
     def __check_init__(self):
+        check_numbers(acceleration=self.acceleration)
+        if jnp.shape(self.acceleration) == ():
+            raise ValueError(
+                "acceleration: must be three real numbers, the components of g along the inertial"
+                f" axes as in (0, 0, -9.81); got {shown(self.acceleration)}"
+            )
         _check_vector(acceleration=self.acceleration)
         _check_coefficients(fluid_density=self.fluid_density)
 
@@ -126,6 +140,13 @@ class MorisonDrag(AbstractLoad):
     (inertial, uniform). (The printed second term lacks a v: it must read pi C_t (v.t)|v.t| t.)
     `added_mass_coefficient` C_a adds the mass rho_f A_c C_a per length across the tangent, which
     moves with the rod (current taken as steady). Source: Morison et al. 1950.
+
+    Attributes:
+        fluid_density: rho_f [kg/m^3].
+        normal_coefficient, tangential_coefficient: C_n and C_t, numbers without unit.
+        current: velocity of the fluid, three inertial components [m/s]; None for still fluid.
+        added_mass_coefficient: C_a, a number without unit (1 for a circular cylinder); None for
+            no added mass. Needs the rod's `area`.
     """
 
     fluid_density: Float[Array, ""] = eqx.field(converter=as_float)
@@ -184,7 +205,11 @@ class LinearDrag(AbstractLoad):
     """-c_n v_n - c_t v_t per length, and the moment -c_r omega_3 about the tangent per length.
 
     With `rod.mass = None` this is what the elastic forces balance (Klapper 1996); it then needs
-    all three coefficients positive. c_n, c_t [N s/m^2], c_r [N s].
+    all three coefficients positive.
+
+    Attributes:
+        normal, tangential: c_n and c_t, force per length and velocity [N s/m^2].
+        rotational: c_r, moment per length and spin about the tangent [N s].
     """
 
     normal: Float[Array, ""] = eqx.field(converter=as_float)
@@ -211,14 +236,20 @@ class LinearDrag(AbstractLoad):
 class DistributedLoad(AbstractLoad):
     """A user's force and moment per length.
 
-    `function(parameters, s, motion)` returns (n+1, 6): force per length in inertial axes, moment
-    per length in body axes, each row from its own node of `motion` (a `NodeMotion`) only;
-    `parameters` is any pytree of numbers and arrays, which can be differentiated and change
-    without a new compilation (the function cannot: pass the same).
+    Attributes:
+        function: called as `function(parameters, s, motion)` with the arc lengths s (n+1,) of the
+            nodes [m] and their `NodeMotion`; returns (n+1, 6): force per length in inertial axes
+            [N/m], moment per length in body axes [N], each row from its own node only. Written
+            with jax.numpy.
+        parameters: any pytree of numbers and arrays, which can be differentiated and change
+            without a new compilation (the function cannot: pass the same).
     """
 
     function: Callable = eqx.field(static=True)
     parameters: object = eqx.field(converter=as_traced, default=None)
+
+    def __check_init__(self):
+        check_function(function=self.function)
 
     def wrench(self, rod, motion):
         per_length = self.function(self.parameters, rod.arc_length, motion)
@@ -226,19 +257,22 @@ class DistributedLoad(AbstractLoad):
 
 
 def _node_number(node):
-    """The number as an array, which does not make the program."""
-    kind = getattr(node, "dtype", None) or np.asarray(node).dtype
-    if np.shape(node) != () or not jnp.issubdtype(kind, jnp.integer):
-        raise ValueError(f"node: give the number of one node, an integer; got {node}")
-    return jnp.asarray(node, jnp.int32)
+    """The number as an array, which does not make the program; what is no integer is left."""
+    if isinstance(node, int) and not isinstance(node, bool) and abs(node) < 2**31:
+        return jnp.asarray(node, jnp.int32)
+    whole = jnp.issubdtype(getattr(node, "dtype", float), jnp.integer)
+    return jnp.asarray(node, jnp.int32) if whole else node
 
 
 class PointLoad(AbstractLoad):
-    """Force and moment on one node (0 and -1 are the ends), dead or following the cross-section.
+    """Force and moment on one node, dead or following the cross-section.
 
-    `node`: its number, negative from the end s = L; one that the rod lacks is refused by the
-    scene, and gives NaN where it is traced. `force`, `moment`: schedules of three components [N],
-    [N m]; inertial axes when dead, body axes when `follower`.
+    Attributes:
+        node: its number, 0 at the end s = 0, negative from the end s = L (-1 is the last). One
+            that the rod lacks is refused by the scene, and gives NaN where it is traced.
+        force: schedule of three components [N], along inertial axes, of a follower body axes.
+        moment: schedule of three components [N m], about the same axes as the force.
+        follower: whether force and moment turn with the cross-section of the node.
     """
 
     node: Int[Array, ""] = eqx.field(converter=_node_number)
@@ -247,9 +281,14 @@ class PointLoad(AbstractLoad):
     follower: bool = eqx.field(static=True, default=False)
 
     def __check_init__(self):
-        for name, schedule in (("force", self.force), ("moment", self.moment)):
-            if schedule is not None and jnp.shape(schedule(jnp.zeros(()))) != (3,):
-                raise ValueError(f"{name}: the schedule must give three components")
+        kind = getattr(self.node, "dtype", None)
+        if kind is None or jnp.shape(self.node) != () or not jnp.issubdtype(kind, jnp.integer):
+            raise ValueError(
+                f"node: give the number of one node, an integer; got {shown(self.node)}"
+            )
+        check_flag(follower=self.follower)
+        mend = "give a schedule of three components, for one that stays Constant((0, 0, 1))"
+        check_schedule((3,), mend, **given(force=self.force, moment=self.moment))
 
     @property
     def schedules(self):

@@ -10,12 +10,20 @@ from collections.abc import Callable
 
 import equinox as eqx
 import jax
-import jax.core
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from rodjax.validation import as_float
+from rodjax.user_functions import check_function, named, returned
+from rodjax.validation import (
+    as_float,
+    check_finite,
+    check_instance,
+    check_numbers,
+    check_scalar,
+    known,
+    shown,
+)
 
 
 class AbstractSchedule(eqx.Module):
@@ -53,26 +61,58 @@ def _padded(schedule, knots):
     return jax.tree.map(repeat, schedule)
 
 
-def _check_knots(times, values, name="values"):
-    if isinstance(times, jax.core.Tracer) or not hasattr(times, "shape"):
-        return
-    steps = np.diff(times) if times.ndim == 1 else np.zeros(0)
-    steps = np.trim_zeros(steps, "f")  # the first knot may be repeated, see `padded`
-    increasing = steps.size > 0 and np.all(steps > 0)
-    if not increasing or not np.all(np.isfinite(times)):
-        raise ValueError("times: give at least two, finite and strictly increasing")
-    if values.shape[:1] != times.shape:
+def check_schedule(shape: tuple[int, ...], mend: str, **schedules) -> None:
+    """Raise ValueError unless each is a schedule whose values have this shape.
+
+    `mend` says what to give where a number, a sequence or something else was given.
+    """
+    for name, schedule in schedules.items():
+        if callable(schedule) and not isinstance(schedule, type | eqx.Module):
+            raise ValueError(f"{name}: wrap {named(schedule)} in a schedule: Function(function)")
+        check_instance(AbstractSchedule, mend, **{name: schedule})
+        found = returned(name, schedule, _time()).shape
+        if found != shape:
+            expected = "one number" if shape == () else f"{shape[0]} components"
+            raise ValueError(f"{name}: the schedule must give {expected}, got shape {found}")
+
+
+def _time():
+    """Shape and type of a time."""
+    return jax.ShapeDtypeStruct((), jnp.result_type(float))
+
+
+def _check_knots(times, **values):
+    check_numbers(times=times, **values)
+    shape = jnp.shape(times)
+    if len(shape) != 1 or shape[0] < 2:
         raise ValueError(
-            f"{name}: expected {times.shape[0]} (one a time), got shape {values.shape}"
+            f"times: give at least two knots, finite and increasing, got {shown(times)}"
         )
-    if not isinstance(values, jax.core.Tracer) and not np.all(np.isfinite(values)):
-        raise ValueError(f"{name}: must be finite")
+    if known(times):
+        steps = np.trim_zeros(np.diff(times), "f")  # the first may be repeated, see `padded`
+        if not (np.all(np.isfinite(times)) and steps.size > 0 and np.all(steps > 0)):
+            raise ValueError(
+                f"times: must be finite and strictly increasing, got {np.asarray(times)}"
+            )
+    for name, value in values.items():
+        if jnp.shape(value)[:1] != shape:
+            raise ValueError(
+                f"{name}: expected {shape[0]} (one a time), got shape {jnp.shape(value)}"
+            )
+    check_finite(**values)
 
 
 class Constant(AbstractSchedule):
-    """One value for all times."""
+    """One value for all times (of a drive, whose changes alone count: no motion).
+
+    Attributes:
+        value: a number or an array, in the unit of what it prescribes.
+    """
 
     value: Float[Array, "*k"] = eqx.field(converter=as_float)
+
+    def __check_init__(self):
+        check_finite(value=self.value)
 
     def __call__(self, time):
         return self.value
@@ -86,13 +126,17 @@ class PiecewiseLinear(AbstractSchedule):
     """Linear between knots, the first value before them.
 
     Its rate jumps at the knots, which lowers the order of convergence.
+
+    Attributes:
+        times: of the knots, at least two, increasing [s]. A run may last until the last.
+        values: at the knots, one row a time: numbers or vectors, in the unit of what it prescribes.
     """
 
     times: Float[Array, " k"] = eqx.field(converter=as_float)
     values: Float[Array, "k *d"] = eqx.field(converter=as_float)
 
     def __check_init__(self):
-        _check_knots(self.times, self.values)
+        _check_knots(self.times, values=self.values)
 
     def __call__(self, time):
         return _interpolate(self.times, self.values, time)
@@ -113,13 +157,18 @@ class PiecewiseLinearRate(AbstractSchedule):
     """The integral from the first knot of a rate that is linear between knots (Fig. 6).
 
     Before the first knot it is zero and rests, whatever the first rate.
+
+    Attributes:
+        times: of the knots, at least two, increasing [s]. A run may last until the last.
+        rates: at the knots, one row a time: numbers or vectors, in the unit of what it prescribes
+            per second.
     """
 
     times: Float[Array, " k"] = eqx.field(converter=as_float)
     rates: Float[Array, "k *d"] = eqx.field(converter=as_float)
 
     def __check_init__(self):
-        _check_knots(self.times, self.rates, "rates")
+        _check_knots(self.times, rates=self.rates)
 
     def __call__(self, time):
         span = jnp.diff(self.times).reshape((-1,) + (1,) * (self.rates.ndim - 1))
@@ -146,13 +195,17 @@ class Smooth(AbstractSchedule):
     """Quintic steps from knot to knot: rate and acceleration vanish at every knot (C2).
 
     The first value before the knots.
+
+    Attributes:
+        times: of the knots, at least two, increasing [s]. A run may last until the last.
+        values: at the knots, one row a time: numbers or vectors, in the unit of what it prescribes.
     """
 
     times: Float[Array, " k"] = eqx.field(converter=as_float)
     values: Float[Array, "k *d"] = eqx.field(converter=as_float)
 
     def __check_init__(self):
-        _check_knots(self.times, self.values)
+        _check_knots(self.times, values=self.values)
 
     def __call__(self, time):
         i = _piece(self.times, time)
@@ -179,13 +232,24 @@ class Function(AbstractSchedule):
 
     Numbers to differentiate by or to map over belong in the arrays of another schedule, not in the
     function's closure.
+
+    Attributes:
+        function: of the time [s], a scalar, written with jax.numpy; returns a number or a vector.
+        last: time until which it holds [s]; a run cannot last longer.
     """
 
     function: Callable = eqx.field(static=True)
     last: Float[Array, ""] = eqx.field(converter=as_float, default=float("inf"))
 
+    def __check_init__(self):
+        check_function(function=self.function)
+        check_scalar(last=self.last)
+        if known(self.last) and not self.last > -np.inf:
+            raise ValueError(f"last: must be finite, or infinite for all times, got {self.last}")
+        returned("function", self.function, _time())
+
     def __call__(self, time):
-        return self.function(time)
+        return as_float(self.function(time))
 
     @property
     def until(self):

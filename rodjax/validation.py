@@ -1,18 +1,39 @@
-"""What constructors share: conversion of numbers, and checks of those that are known.
+"""What constructors share: conversion of numbers, and checks of what was given.
 
-Values that are traced, or put in place of arrays by a transformation, are not checked. A check must
-not use an operation of jax: in traced code even known arrays become traced by one.
+A converter never raises: what is no number it leaves as it is, so that the check after it, which
+knows the argument's name, can say so. Every check raises ValueError with "name: the mend, got ...".
+
+Tracers and `jax.ShapeDtypeStruct` have a shape and a kind, which are checked, and no values. A
+check of values must not use an operation of jax: in traced code even known arrays become traced by
+one. What may be left out is passed through `given`; None is an error elsewhere. (What
+transformations put in place of arrays never comes here: they unflatten without a constructor.)
 """
+
+import numbers
+from typing import Any
 
 import jax
 import jax.core
 import jax.numpy as jnp
 import numpy as np
 
+LARGEST = 1_000_000
+"""Of elements, segments and the like: more is a slip, and would be allocated without a word."""
+
+
+# Conversion
+
 
 def as_float(value):
-    """The value as an array of floating point numbers."""
-    return jnp.asarray(value, jnp.result_type(float, jnp.asarray(value).dtype))
+    """The value as an array of floating point numbers; what holds no real numbers is left.
+
+    Single precision is kept, all else taken in the default precision.
+    """
+    array = _array(value)
+    if array is None or isinstance(array, jax.ShapeDtypeStruct):
+        return value
+    single = array.dtype == jnp.float32
+    return jnp.asarray(array, jnp.float32 if single else jnp.result_type(float))
 
 
 def as_float_or_none(value):
@@ -28,34 +49,188 @@ def as_traced(tree):
 
     def convert(leaf):
         number = isinstance(leaf, int | float | complex | np.number) and not isinstance(leaf, bool)
-        if number or isinstance(leaf, np.ndarray) or getattr(leaf, "weak_type", False):
+        if not (number or isinstance(leaf, np.ndarray) or getattr(leaf, "weak_type", False)):
+            return leaf
+        if isinstance(leaf, int) and abs(leaf) >= 2**31:
+            leaf = float(leaf) if abs(leaf) < 2**1000 else np.inf  # no integers of any size
+        try:
             return jnp.asarray(leaf, jnp.asarray(leaf).dtype)
-        return leaf
+        except TypeError:  # an array of texts or objects
+            return leaf
 
     return jax.tree.map(convert, tree)
 
 
+def as_integer(value):
+    """The value as an int; what is no whole number is left."""
+    if isinstance(value, bool | np.bool_ | jax.core.Tracer):
+        return value
+    if isinstance(value, numbers.Integral):
+        return int(value)
+    array = _array(value)
+    if array is None or array.shape != () or isinstance(array, jax.ShapeDtypeStruct):
+        return value
+    number = float(array)
+    return int(number) if number.is_integer() else value
+
+
+def _array(value):
+    """The value as something with shape and dtype of real numbers, or None."""
+    if not (hasattr(value, "shape") and hasattr(value, "dtype")):
+        value = _made(value)
+        if value is None:
+            return None
+    real = jnp.issubdtype(value.dtype, jnp.floating) or jnp.issubdtype(value.dtype, jnp.integer)
+    return value if real else None
+
+
+def _made(value):
+    """An array of a number or of nested sequences, whatever they hold, or None."""
+    if isinstance(value, int) and not isinstance(value, bool):
+        # there are no integer arrays of any size, and a whole number may be large
+        value = float(value) if abs(value) < 2**1000 else None
+    try:
+        return np.asarray(value)
+    except jax.errors.TracerArrayConversionError:
+        return jnp.asarray(value)  # of tracers, so it is traced anyway
+    except (TypeError, ValueError):
+        return None
+
+
+def given(**values) -> dict[str, Any]:
+    """Those of the arguments that are not None."""
+    return {name: value for name, value in values.items() if value is not None}
+
+
 def known(value) -> bool:
-    """Whether a field holds numbers (not a tracer, nor what a transformation puts there)."""
-    return hasattr(value, "shape") and not isinstance(value, jax.core.Tracer)
+    """Whether a field holds numbers (not a tracer, nor what only has a shape)."""
+    held = isinstance(value, jax.Array | np.ndarray | np.generic)
+    return held and not isinstance(value, jax.core.Tracer)
+
+
+def shown(value) -> str:
+    """The value in a message: short, and of arrays the shape."""
+    shape = getattr(value, "shape", None)
+    if isinstance(value, type):
+        return f"the class {value.__name__}"
+    if isinstance(shape, tuple) and shape != ():
+        return f"an array of shape {shape} ({value.dtype})"
+    if isinstance(value, jax.core.Tracer):
+        return f"a traced {value.dtype}"
+    text = repr(value)
+    return text if len(text) <= 60 else f"{text[:57]}..."
+
+
+# Checks of numbers
+
+
+def check_numbers(**values) -> None:
+    """Raise ValueError unless each is a real number or an array of them."""
+    for name, value in values.items():
+        if _array(value) is None:
+            raise ValueError(
+                f"{name}: must be a real number or an array of them, got {_what(value)}"
+            )
+
+
+def check_shape(shape: tuple[int, ...], **values) -> None:
+    """Raise ValueError unless each is an array of real numbers of this shape, () for a number."""
+    for name, value in values.items():
+        array = _array(value)
+        if array is None or tuple(array.shape) != shape:
+            raise ValueError(f"{name}: must be {_described(shape)}, got {_what(value)}")
+
+
+def check_scalar(**values) -> None:
+    """Raise ValueError unless each is one real number."""
+    check_shape((), **values)
 
 
 def check_finite(**values) -> None:
-    """Raise ValueError unless the known values are finite."""
-    for name, value in values.items():
-        if known(value) and not np.all(np.isfinite(value)):
-            raise ValueError(f"{name}: must be finite, got {value}")
+    """Raise ValueError unless the values are real numbers, the known ones finite."""
+    check_numbers(**values)
+    for name, value in _known(values):
+        if not np.all(np.isfinite(value)):
+            raise ValueError(f"{name}: must be finite, got {_worst(value, ~np.isfinite(value))}")
 
 
 def check_positive(**values) -> None:
-    """Raise ValueError unless the known values are positive and finite."""
-    for name, value in values.items():
-        if known(value) and not np.all(np.isfinite(value) & (np.asarray(value) > 0)):
-            raise ValueError(f"{name}: must be positive and finite, got {value}")
+    """Raise ValueError unless the values are real numbers, the known ones positive and finite."""
+    check_numbers(**values)
+    for name, value in _known(values):
+        bad = ~(np.isfinite(value) & (value > 0))
+        if np.any(bad):
+            raise ValueError(f"{name}: must be positive and finite, got {_worst(value, bad)}")
 
 
 def check_not_negative(**values) -> None:
-    """Raise ValueError unless the known values are finite and not negative."""
+    """Raise ValueError unless the values are real numbers, the known ones finite and >= 0."""
+    check_numbers(**values)
+    for name, value in _known(values):
+        bad = ~(np.isfinite(value) & (value >= 0))
+        if np.any(bad):
+            raise ValueError(f"{name}: must be finite and not negative, got {_worst(value, bad)}")
+
+
+def check_integer(low: int, high: int = LARGEST, **values) -> None:
+    """Raise ValueError unless each is an int between the two (see `as_integer`)."""
     for name, value in values.items():
-        if known(value) and not np.all(np.isfinite(value) & (np.asarray(value) >= 0)):
-            raise ValueError(f"{name}: must be finite and not negative, got {value}")
+        whole = isinstance(value, int) and not isinstance(value, bool)
+        if not whole or not low <= value <= high:
+            raise ValueError(
+                f"{name}: must be a whole number of at least {low} and at most {high},"
+                f" got {shown(value)}"
+            )
+
+
+def check_flag(**values) -> None:
+    """Raise ValueError unless each is True or False."""
+    for name, value in values.items():
+        if not isinstance(value, bool | np.bool_):
+            raise ValueError(f"{name}: must be True or False, got {shown(value)}")
+
+
+def _known(values):
+    """Names and numbers of the values that are known, as arrays of numpy."""
+    for name, value in values.items():
+        if known(value) or isinstance(value, int | float | list | tuple):
+            if isinstance(value, list | tuple) and not known(_array(value)):
+                continue  # of tracers
+            yield name, np.asarray(value)
+
+
+def _described(shape: tuple[int, ...]) -> str:
+    if shape == ():
+        return "one real number"
+    if shape == (3,):
+        return "three real numbers"
+    return f"an array of shape {shape} of real numbers"
+
+
+def _what(value) -> str:
+    """What was given instead of a number or array."""
+    array = _array(value)
+    return shown(value) if array is None or array.shape == () else f"shape {tuple(array.shape)}"
+
+
+def _worst(value, bad) -> str:
+    """The first of the numbers that are wrong."""
+    if value.shape == ():
+        return str(value)
+    where = tuple(int(i) for i in np.argwhere(bad)[0])
+    return f"{value[where]} at index {where if len(where) > 1 else where[0]}"
+
+
+# Checks of objects
+
+
+def check_instance(kind: type | tuple[type, ...], mend: str, **values) -> None:
+    """Raise ValueError unless each is an instance of a class; `mend` says what to give."""
+    for name, value in values.items():
+        if isinstance(value, kind):
+            continue
+        if isinstance(value, type) and issubclass(value, kind):
+            raise ValueError(
+                f"{name}: {value.__name__} is a class; give one of its kind, {value.__name__}(...)"
+            )
+        raise ValueError(f"{name}: {mend}; got {_what(value)}")
