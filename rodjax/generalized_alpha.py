@@ -16,6 +16,15 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from rodjax.validation import (
+    as_float,
+    as_float_or_none,
+    as_integer,
+    check_integer,
+    check_positive,
+    check_scalar,
+    known,
+)
 
 _MOST_ITERATIONS = 10_000  # a step that needs more is lost
 
@@ -23,15 +32,18 @@ _MOST_ITERATIONS = 10_000  # a step that needs more is lost
 def _as_count(value):
     """A whole number as an array; what is none is left for the check."""
     whole = as_integer(value)
-    if isinstance(whole, int) and not isinstance(whole, bool):
-        return jnp.asarray(whole, jnp.int32) if abs(whole) < 2**31 else whole
-    return value.astype(jnp.int32) if isinstance(value, jax.core.Tracer) else value
+    small = type(whole) is int and abs(whole) < 2**31
+    return jnp.asarray(whole, jnp.int32) if small else value
 
 
 def _check_count(**values):
     for name, value in values.items():
-        number = value if not known(value) else int(value)
-        check_integer(1, _MOST_ITERATIONS, **{name: number})
+        if jnp.issubdtype(getattr(value, "dtype", float), jnp.integer):
+            check_scalar(**{name: value})
+            if known(value):
+                check_integer(1, _MOST_ITERATIONS, **{name: int(value)})
+        else:
+            check_integer(1, _MOST_ITERATIONS, **{name: value})
 
 
 class GeneralizedAlpha(eqx.Module):
@@ -57,7 +69,7 @@ class GeneralizedAlpha(eqx.Module):
 
     def __check_init__(self):
         rho = self.spectral_radius
-        check_scalar(spectral_radius=rho, max_iterations=self.max_iterations)
+        check_scalar(spectral_radius=rho)
         if known(rho) and not 0 <= rho < 1:
             raise ValueError(
                 f"spectral_radius: must be in [0, 1), got {rho}; at 1 the constraint forces of"

@@ -11,8 +11,6 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import equinox as eqx
-import jax
-import jax.core
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 

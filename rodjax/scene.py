@@ -7,12 +7,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from rodjax import probing
 from rodjax.contact import Contact
-from rodjax.ends import AbstractEnd, Free
+from rodjax.ends import AbstractEnd, Free, check_end
 from rodjax.loads import AbstractLoad, LinearDrag
-from rodjax.probing import check_end, check_local
 from rodjax.rod import Rod
-from rodjax.validation import as_traced
+from rodjax.validation import as_traced, check_instance
 
 
 def _with_arrays(part):
@@ -22,7 +22,14 @@ def _with_arrays(part):
 
 
 class Scene(eqx.Module):
-    """Everything that is given; what is None or empty is absent from the traced program."""
+    """Everything that is given; what is None or empty is absent from the traced program.
+
+    Attributes:
+        rod: the rod, at rest and as it is placed at first.
+        first_end, last_end: what holds it at s = 0 and at s = L.
+        loads: what acts on it, a tuple of loads.
+        contact: whether and how it touches itself; None for strands that pass through each other.
+    """
 
     rod: Rod
     # Python's numbers in classes of the user's would be compiled in, each anew
@@ -32,20 +39,31 @@ class Scene(eqx.Module):
     contact: Contact | None = eqx.field(converter=_with_arrays, default=None)
 
     def __check_init__(self):
-        if not isinstance(self.loads, tuple):
-            raise ValueError("loads: give a tuple, for one load (load,)")
+        self._check_kinds()
         for load in self.loads:
             load.check(self.rod)
             if load.inertia and self.rod.mass is None:
                 raise ValueError("loads: added mass on a rod with mass=None, which has no inertia")
         for i, load in enumerate(self.loads):
-            check_local(load, self.rod, f"loads[{i}]")
+            probing.check_local(load, self.rod, f"loads[{i}]")
         for name, end in zip(("first_end", "last_end"), self.ends, strict=True):
-            check_end(end, name)
+            probing.check_end(end, name)
         if self.contact is not None:
             self.contact.check(self.rod)
         if self.rod.mass is None:
             self._check_inertialess()
+
+    def _check_kinds(self):
+        one = "give one rod, of straight_rod or curved_rod (a scene has no second)"
+        check_instance(Rod, one, rod=self.rod)
+        check_end(first_end=self.first_end, last_end=self.last_end)
+        if not isinstance(self.loads, tuple):
+            raise ValueError("loads: give a tuple, for one load (load,)")
+        mend = "give a load such as Gravity((0, 0, -9.81))"
+        check_instance(AbstractLoad, mend, **{f"loads[{i}]": x for i, x in enumerate(self.loads)})
+        if self.contact is not None:
+            mend = "give Contact(law, segments, cutoff), or None for no contact"
+            check_instance(Contact, mend, contact=self.contact)
 
     def _check_inertialess(self):
         drags = [load for load in self.loads if isinstance(load, LinearDrag)]

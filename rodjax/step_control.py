@@ -3,9 +3,7 @@
 from typing import NamedTuple
 
 import equinox as eqx
-import jax.core
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from rodjax.rod import Rod
@@ -13,7 +11,7 @@ from rodjax.rotations import logarithm
 from rodjax.state import State
 from rodjax.stepping import StepInfo
 from rodjax.strains import relative_rotation
-from rodjax.validation import as_float
+from rodjax.validation import as_float, check_positive, check_scalar, given
 
 
 class StepControl(eqx.Module):
@@ -42,12 +40,10 @@ class StepControl(eqx.Module):
     twisting: Float[Array, ""] = eqx.field(converter=as_float, default=0.05)
 
     def __check_init__(self):
-        for name in ("relative", "absolute", "twisting", "max_step", "first_step", "min_step"):
-            value = getattr(self, name)
-            if value is None or isinstance(value, jax.core.Tracer) or type(value) is object:
-                continue
-            if not np.all(np.asarray(value) > 0):
-                raise ValueError(f"{name}: must be positive, got {value}")
+        tolerances = {name: getattr(self, name) for name in ("relative", "absolute", "twisting")}
+        steps = given(max_step=self.max_step, first_step=self.first_step, min_step=self.min_step)
+        check_scalar(**tolerances, **steps)
+        check_positive(**tolerances, **steps)
 
 
 class Control(NamedTuple):

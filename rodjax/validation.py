@@ -117,7 +117,7 @@ def shown(value) -> str:
         return f"an array of shape {shape} ({value.dtype})"
     if isinstance(value, jax.core.Tracer):
         return f"a traced {value.dtype}"
-    text = repr(value)
+    text = str(value) if known(value) else " ".join(repr(value).split())
     return text if len(text) <= 60 else f"{text[:57]}..."
 
 
@@ -233,4 +233,4 @@ def check_instance(kind: type | tuple[type, ...], mend: str, **values) -> None:
             raise ValueError(
                 f"{name}: {value.__name__} is a class; give one of its kind, {value.__name__}(...)"
             )
-        raise ValueError(f"{name}: {mend}; got {_what(value)}")
+        raise ValueError(f"{name}: {mend}; got {shown(value)}")
