@@ -1,151 +1,57 @@
-"""Stability of an equilibrium: the tangent on the motions that constraint and ends allow.
-
-Admissible motions are parametrised by the displacement of node 0, the spins of the nodes and, in
-a compliant rod, the variations g of the elements' stretch and shear:
-
-    u_{i+1} = u_i + ds E (g - gamma x d theta_e)        (see `balance`),
-
-which solves the constraint exactly; the ends' conditions are linear in the parameters y and are
-projected out. K = d(internal - external wrench) on these motions is the second variation of the
-energy (plus the compliance's ds g^2 / compliance), of which the symmetric part is taken.
-"""
+"""Stability of an equilibrium: the tangent on the motions that constraint and ends allow."""
 
 from typing import NamedTuple
 
-import jax
 import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool, Float
 
-from rodjax import balance
+from rodjax.admissible import Admissible, admissible, damping_matrix, mass_matrix, mean_bending
 from rodjax.compilation import compiled
+from rodjax.eigenvalues import grows, lowest
 from rodjax.load_path import check_held
-from rodjax.scene import Scene, projectors
+from rodjax.scene import Scene
 from rodjax.state import State
-from rodjax.statics import at_rest, moved, static_balance
-from rodjax.strains import strains
 
 
 class Stability(NamedTuple):
-    """Lowest eigenvalues of the second variation, ascending, and their modes."""
+    """Eigenvalues of the tangent by ascending real part, their modes, and what they say.
 
-    eigenvalues: Float[Array, " k"]  # [N]
-    modes: Float[Array, "k nodes 6"]  # displacement [m] and body spin [rad] of the nodes
-    stable: Bool[Array, ""]  # whether the lowest is positive
+    `antisymmetry` measures the part of the tangent that has no potential: its work over the work
+    of the rest, at most, among all motions (0 for dead forces, gravity and contact laws with a
+    potential, at an equilibrium). `symmetric` says which problem was solved:
 
-
-class Reduced(NamedTuple):
-    """Tangent on the admissible motions, before the ends are projected out."""
-
-    basis: Float[Array, "m nodes 6"]  # motion of the nodes for each parameter
-    stiffness: Float[Array, "m m"]
-    norm: Float[Array, " m"]  # weights of the rotational norm (diagonal)
-    ends: Float[Array, "12 m"]  # rows that must vanish
-
-
-def reduced_tangent(scene: Scene, state: State) -> Reduced:
-    """The tangent at a state on the motions that the constraint allows."""
-    rod = scene.rod
-    n, dtype = rod.elements, state.position.dtype
-    kinematics = strains(rod, state.position, state.quaternion)
-    shear = balance.constraint_tangent(rod, kinematics).constraint_spin  # gamma x d theta_e
-    length = jnp.sum(rod.length)
-    compliance = rod.compliance
-    give = None if compliance is None else compliance > 0
-
-    def expand(y):
-        """Motion of the nodes for the parameters y = (u_0 / L, spins, g)."""
-        spins = y[3 : 3 * n + 6].reshape(n + 1, 3)
-        stretch = -jnp.einsum("nij,nj->ni", shear, jnp.concatenate([spins[:-1], spins[1:]], 1))
-        if give is not None:
-            stretch = stretch + give * y[3 * n + 6 :].reshape(n, 3)
-        edge = rod.length[:, None] * jnp.einsum("nij,nj->ni", kinematics.frame, stretch)
-        first = length * y[None, :3]
-        return jnp.concatenate(
-            [first + jnp.cumsum(jnp.concatenate([0 * first, edge]), 0), spins], 1
-        )
-
-    parameters = 3 + 3 * (n + 1) + (0 if give is None else 3 * n)
-    basis = jax.vmap(expand)(jnp.eye(parameters, dtype=dtype))
-    motion = at_rest(state.time, state.position, state.quaternion)
-
-    def wrench(z):
-        return static_balance(scene, moved(motion, z), state.force)[0]
-
-    push = lambda z: jax.jvp(wrench, (jnp.zeros_like(z),), (z,))[1]
-    flat = basis.reshape(parameters, -1)
-    stiffness = flat @ jax.vmap(push)(basis).reshape(parameters, -1).T
-    norm = jnp.concatenate([jnp.zeros((3,), dtype), jnp.repeat(rod.node_length, 3)])
-    if compliance is not None:
-        # components without compliance stay put: a spring far stiffer than all else holds them
-        ds = jnp.repeat(rod.length, 3)
-        stiff = _far_above(stiffness) * ds / length
-        spring = ds / jnp.where(compliance > 0, compliance, 1.0).ravel()
-        spring = jnp.where((compliance > 0).ravel(), spring, stiff)
-        stiffness = stiffness + jnp.diag(jnp.concatenate([jnp.zeros_like(norm), spring]))
-        norm = jnp.concatenate([norm, ds])
-    first, last = projectors(scene, state.time)
-    unit = jnp.repeat(jnp.stack([1 / length, jnp.ones_like(length)]), 3)
-    held = [p @ (unit[:, None] * basis[:, i].T) for p, i in ((first, 0), (last, -1))]
-    return Reduced(basis, 0.5 * (stiffness + stiffness.T), norm, jnp.concatenate(held))
-
-
-def _far_above(matrix):
-    """More than the largest eigenvalue of a symmetric matrix."""
-    return 2 * jnp.max(jnp.sum(jnp.abs(matrix), 1))
-
-
-def lowest(
-    stiffness: Float[Array, "m m"],
-    weight: Float[Array, "m m"],
-    held: Float[Array, "12 m"],
-    unit: Float[Array, ""],
-    count: int,
-) -> tuple[Float[Array, " k"], Float[Array, "k m"]]:
-    """Lowest eigenvalues of K y = mu W y on held y = 0, and y with y^T W y = 1.
-
-    W may be singular, so the problem is solved as W y = nu (K + sigma W) y, mu = 1/nu - sigma,
-    with sigma the first of unit, 4 unit, 16 unit ... that makes the matrix positive definite.
-    Eigenvalues can be differentiated (also degenerate ones, as the means over their eigenspaces);
-    vectors are constants.
+    - true (antisymmetry no more than rounding): eigenvalues are those of the second variation of
+      the energy, real, and `stable` says that the lowest is positive.
+    - false (follower loads, dead end moments, drag in a current, a contact law without potential):
+      there is no energy to be least. Eigenvalues are those of the general problem and may be
+      complex; a real one that passes zero means divergence, as above, but none of them tells of
+      flutter. So `stable` is then judged by the motion itself, M x'' + D x' + K x = 0 with the
+      mass and the damping that the loads have: whether no solution grows.
     """
-    # the ends' rows may depend on each other (two clamps of a straight inextensible rod)
-    rows = jnp.linalg.pinv(held, rtol=1e-9) @ held
-    keep = jnp.eye(rows.shape[0], dtype=rows.dtype) - rows
-    stiff = keep @ stiffness @ keep
-    weight = keep @ weight @ keep
-    symmetric = lambda a: 0.5 * (a + a.T)
-    k, w, far = lax.stop_gradient((symmetric(stiff), symmetric(weight), rows))
-    k = k + _far_above(k) * symmetric(far)
 
-    def factor(sigma):
-        return jnp.linalg.cholesky(k + sigma * w)
-
-    indefinite = lambda carry: ~jnp.all(jnp.isfinite(carry[1])) & (carry[0] < 1e20 * unit)
-    raised = lambda carry: (4 * carry[0], factor(4 * carry[0]))
-    unit = lax.stop_gradient(unit)
-    sigma, lower = lax.while_loop(indefinite, raised, (unit, factor(unit)))
-    half = jax.scipy.linalg.solve_triangular(lower, w, lower=True)
-    inverse = jax.scipy.linalg.solve_triangular(lower, half.T, lower=True)
-    nu, vectors = jnp.linalg.eigh(symmetric(inverse))
-    nu, vectors = nu[::-1][:count], vectors[:, ::-1][:, :count]
-    y = jax.scipy.linalg.solve_triangular(lower.T, vectors, lower=False).T
-    y = lax.stop_gradient(y / jnp.sqrt(nu)[:, None])
-    values = 1 / nu - sigma
-    # derivative of Rayleigh's quotient; its value, which has more round-off, is not used
-    work = jnp.einsum("ki,ij,kj->k", y, stiff, y) - values * jnp.einsum("ki,ij,kj->k", y, weight, y)
-    return values + work - lax.stop_gradient(work), y @ lax.stop_gradient(keep)
+    eigenvalues: Float[Array, " k"]  # real parts [N]
+    modes: Float[Array, "k nodes 6"]  # displacement [m] and body spin [rad]; real parts
+    stable: Bool[Array, ""]
+    imaginary: Float[Array, " k"]  # imaginary parts of the eigenvalues [N]
+    imaginary_modes: Float[Array, "k nodes 6"]
+    antisymmetry: Float[Array, ""]
+    symmetric: Bool[Array, ""]
 
 
 def stability(scene: Scene, state: State, count: int = 1) -> Stability:
-    """The `count` lowest eigenvalues of the second variation at an equilibrium, and their modes.
+    """The `count` lowest eigenvalues of the tangent at an equilibrium, and whether it is stable.
 
     The norm is the integral of |spin|^2 ds (and, in a compliant rod, of the squared variation of
     stretch and shear), so eigenvalues are forces [N]: for a straight column under a thrust P the
     lowest is P_critical - P. Constraints are those in force from `state.time` on, loads those at
-    `state.time`. A negative eigenvalue means instability. With loads that have no potential
-    (follower loads, dead end moments) only the symmetric part of the tangent is seen: divergence,
-    not flutter. Eigenvalues can be differentiated at an equilibrium, modes cannot.
+    `state.time`. A negative eigenvalue means instability. What is said of loads that have no
+    potential (follower loads, dead end moments, drag in a current) stands in `Stability`: look at
+    its `symmetric`.
+
+    Eigenvalues can be differentiated at an equilibrium (those that coincide as their mean; where
+    two are about to become complex the derivative is infinite), modes cannot. The general problem
+    runs inside compiled programs too: LAPACK on the CPU, cuSOLVER or the host's LAPACK on a GPU.
 
     Dense: cost grows as n^3, meant for up to a few hundred elements.
 
@@ -165,9 +71,30 @@ def check_count(scene: Scene, count: int) -> None:
 
 @compiled
 def _stability(scene, state, count):
-    reduced = reduced_tangent(scene, state)
-    rod = scene.rod
-    unit = 10 * jnp.mean(rod.stiffness[:, :2]) / jnp.sum(rod.length) ** 2
-    values, y = lowest(reduced.stiffness, jnp.diag(reduced.norm), reduced.ends, unit, count)
-    modes = jnp.einsum("km,mni->kni", y, lax.stop_gradient(reduced.basis))
-    return Stability(values, modes, values[0] > 0)
+    motions = admissible(scene, state)
+    unit = jnp.full((), 10.0, state.position.dtype)
+    found = lowest(motions.stiffness, jnp.diag(motions.norm), motions.ends, unit, count)
+    fixed = lax.stop_gradient((scene, state, motions))
+    lowest_is_positive = lambda: found.values[0].real > 0
+    stable = lax.cond(found.symmetric, lowest_is_positive, lambda: ~_grows(*fixed))
+    modes = fixed[-1].motion(scene, found.vectors)
+    values = found.values * (mean_bending(scene) / jnp.sum(scene.rod.length) ** 2)
+    return Stability(
+        values.real,
+        lax.stop_gradient(modes.real),
+        stable,
+        values.imag,
+        lax.stop_gradient(modes.imag),
+        found.antisymmetry,
+        found.symmetric,
+    )
+
+
+def _grows(scene: Scene, state: State, motions: Admissible) -> Bool[Array, ""]:
+    """Whether a small motion about the state grows."""
+    damping = damping_matrix(scene, state, motions)
+    massless = scene.rod.mass is None
+    mass = None if massless else mass_matrix(scene, state, motions)
+    # about the lowest eigenvalues of K by the weight, as the shifted problem wants
+    unit = 10 * jnp.max(motions.norm) / jnp.max(jnp.diag(damping if massless else mass))
+    return grows(motions.stiffness, damping, mass, motions.ends, unit)

@@ -1,49 +1,65 @@
-"""Small undamped motion about an equilibrium: frequencies of vibration and rates of growth."""
+"""Small undamped motion about an equilibrium: frequencies of vibration, growth rates, flutter."""
 
 from typing import NamedTuple
 
 import jax.numpy as jnp
 from jax import lax
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
+from rodjax.admissible import admissible, mass_matrix, rate_of
 from rodjax.compilation import compiled
-from rodjax.inertia import inertial_wrench, node_jacobian
-from rodjax.linear_stability import check_count, lowest, reduced_tangent
+from rodjax.eigenvalues import lowest
+from rodjax.linear_stability import check_count
 from rodjax.load_path import check_held
 from rodjax.scene import Scene
 from rodjax.state import State
-from rodjax.statics import at_rest
 
 
 class Vibration(NamedTuple):
-    """Modes exp(i omega t) of the linearised motion, omega^2 ascending."""
+    """Modes exp(i omega t) of the linearised motion, by ascending real part of omega^2.
 
-    squared: Float[Array, " k"]  # omega^2 [1/s^2], negative for a growing mode
-    modes: Float[Array, "k nodes 6"]  # displacement and body spin of the nodes, of unit modal mass
+    `symmetric` says which problem was solved. True: K has no antisymmetric part beyond rounding,
+    its symmetric part was taken, and every omega^2 is real. False: loads without potential; the
+    general problem was solved, and omega^2 may be complex. Such a pair of conjugates, which stand
+    side by side, is flutter: both have the same frequency and growth rate.
+    """
+
+    squared: Float[Array, " k"]  # real part of omega^2 [1/s^2], negative for a mode that diverges
+    modes: Float[Array, "k nodes 6"]  # displacement and body spin, of unit modal mass; real parts
+    imaginary: Float[Array, " k"]  # imaginary part of omega^2 [1/s^2], zero but for flutter
+    imaginary_modes: Float[Array, "k nodes 6"]
+    antisymmetry: Float[Array, ""]  # see `linear_stability.Stability`
+    symmetric: Bool[Array, ""]
 
     @property
     def frequency(self) -> Float[Array, " k"]:
-        """Angular frequency omega of each mode [1/s]; zero for one that grows."""
-        return _root(self.squared)
+        """Angular frequency |Re omega| of each mode [1/s]; zero for one that diverges."""
+        return self._root(1)
 
     @property
     def growth_rate(self) -> Float[Array, " k"]:
-        """Rate sigma of each mode that grows as exp(sigma t) [1/s]; zero for one that vibrates."""
-        return _root(-self.squared)
+        """Rate |Im omega| at which a mode grows as exp(sigma t) [1/s]; zero if it only vibrates."""
+        return self._root(-1)
 
-
-def _root(x):
-    """Square root where positive, else zero, with finite derivatives."""
-    return jnp.where(x > 0, jnp.sqrt(jnp.where(x > 0, x, 1.0)), 0.0)
+    def _root(self, sign):
+        """sqrt((|z| + sign Re z) / 2) of z = omega^2, with finite derivatives."""
+        real, flutters = sign * self.squared, self.imaginary != 0
+        size = jnp.hypot(self.squared, jnp.where(flutters, self.imaginary, 1.0))
+        x = jnp.where(flutters, 0.5 * (size + real), real)
+        return jnp.where(x > 0, jnp.sqrt(jnp.where(x > 0, x, 1.0)), 0.0)
 
 
 def vibration(scene: Scene, state: State, count: int = 1) -> Vibration:
     """The `count` modes of lowest omega^2 about an equilibrium: K x = omega^2 M x.
 
-    K is the symmetric part of the tangent on the motions that constraint and ends allow (see
-    `stability`), M the mass of the nodes with rotary inertia, if the rod has it, and added mass.
-    Drag is left out. Frequencies can be differentiated, modes cannot. Dense: cost grows as n^3,
-    and round-off of omega^2 as n^4, meant for up to a few hundred elements.
+    K is the tangent on the motions that constraint and ends allow (see `admissible`), M the mass
+    of the nodes with rotary inertia, if the rod has it, and added mass. Drag is left out. Where K
+    is not symmetric (follower loads, dead end moments, drag in a current) the general problem is
+    solved, of which pairs of complex omega^2 are flutter (see `Vibration`).
+
+    Frequencies and growth rates can be differentiated (those that coincide as their mean; at the
+    onset of flutter the derivative is infinite), modes cannot. Dense: cost grows as n^3, and
+    round-off of omega^2 as n^2, meant for up to a few hundred elements.
 
     Raises:
         ValueError: the rod has no mass, the ends leave it free to move, or `count` does not fit.
@@ -57,15 +73,19 @@ def vibration(scene: Scene, state: State, count: int = 1) -> Vibration:
 
 @compiled
 def _vibration(scene, state, count):
-    rod = scene.rod
-    reduced = reduced_tangent(scene, state)
-    motion = at_rest(state.time, state.position, state.quaternion)
-    zero = jnp.zeros_like(state.rate)
-    matrix = node_jacobian(lambda rate: inertial_wrench(scene, motion, rate), zero)
-    m = reduced.basis.shape[0]
-    pushed = jnp.einsum("nij,mnj->mni", matrix, reduced.basis)
-    mass = reduced.basis.reshape(m, -1) @ pushed.reshape(m, -1).T
-    bend, length = jnp.mean(rod.stiffness[:, :2]), jnp.sum(rod.length)
-    unit = 100 * bend / (jnp.mean(rod.mass) * length**4)
-    squared, y = lowest(reduced.stiffness, mass, reduced.ends, unit, count)
-    return Vibration(squared, jnp.einsum("km,mni->kni", y, lax.stop_gradient(reduced.basis)))
+    motions = admissible(scene, state)
+    mass = mass_matrix(scene, state, motions)
+    unit = jnp.full((), 100.0, state.position.dtype)
+    found = lowest(motions.stiffness, mass, motions.ends, unit, count)
+    rate = rate_of(scene)
+    values = found.values * rate * rate
+    total = jnp.sqrt(jnp.sum(scene.rod.mass * scene.rod.length)) * jnp.sum(scene.rod.length)
+    modes = lax.stop_gradient(motions.motion(scene, found.vectors) / total)
+    return Vibration(
+        values.real,
+        modes.real,
+        values.imag,
+        modes.imag,
+        found.antisymmetry,
+        found.symmetric,
+    )
