@@ -24,6 +24,14 @@ class Result(enum.IntEnum):
     DRIVE_TOO_FAST = 10
     CONTACT_OVERCOME = 11
     INTERRUPTED = 12
+
+    def __str__(self) -> str:
+        """Name, number and what it means with its mend."""
+        return f"{self.name} ({int(self)}): {MESSAGES[self]}"
+
+    def __format__(self, spec: str) -> str:
+        return format(int(self), spec) if spec else str(self)
+
     DRIVE_MISSED = 13  # only of runs in which nothing failed
 
 

@@ -5,15 +5,18 @@ i + 1 carries the strains. Section properties are constant within an element, so
 at a node is exact.
 """
 
+import dataclasses
 from collections.abc import Callable, Sequence
 
 import equinox as eqx
+import jax
 import jax.core
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
 from rodjax import rotations
+from rodjax.brief import named
 
 Number = float | int
 Vector = Sequence[Number] | np.ndarray | Array
@@ -86,6 +89,16 @@ class Rod(eqx.Module):
             raise ValueError(
                 "rotary_inertia: a rod without mass has none; pass rotary_inertia=None"
             )
+
+    def __repr__(self) -> str:
+        given = {f.name: getattr(self, f.name) for f in dataclasses.fields(self)}
+        del given["position"], given["quaternion"], given["length"]
+        known = isinstance(self.length, jax.Array | np.ndarray)
+        if known and not isinstance(self.length, jax.core.Tracer) and self.length.ndim == 1:
+            size = {"elements": self.elements, "length": np.sum(np.asarray(self.length))}
+        else:
+            size = {"length": self.length}
+        return named("Rod", {**size, **given})
 
     @property
     def elements(self) -> int:

@@ -4,10 +4,13 @@ import dataclasses
 
 import equinox as eqx
 import jax
+import jax.core
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from rodjax.brief import brief
+from rodjax.results import Result
 from rodjax.state import State
 from rodjax.step_control import Control
 from rodjax.stepping import StepInfo
@@ -27,6 +30,17 @@ class Run(eqx.Module):
     rejected: Int[Array, ""]
     wasted_iterations: Int[Array, ""]
     control: Control | None = None
+
+    def __repr__(self) -> str:
+        known = isinstance(self.result, jax.Array | np.ndarray) and np.ndim(self.result) == 0
+        if not known or isinstance(self.result, jax.core.Tracer):
+            return f"Run(states={brief(self.states.time)}, result={brief(self.result)})"
+        times = np.asarray(self.times)
+        span = f"{times[0]:g} to {times[-1]:g}" if len(times) else "none"
+        parts = f"steps={len(self.infos.result)}, states={len(times)}, times={span}"
+        return (
+            f"Run({parts}, rejected={int(self.rejected)}, result={Result(int(self.result)).name})"
+        )
 
     @property
     def times(self) -> Float[Array, " k"]:

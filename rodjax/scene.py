@@ -1,5 +1,7 @@
 """A scene: one rod, what holds its ends, what loads it, and whether it touches itself."""
 
+import dataclasses
+
 import equinox as eqx
 import jax
 import jax.core
@@ -8,6 +10,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from rodjax import probing
+from rodjax.brief import brief
 from rodjax.contact import Contact
 from rodjax.ends import AbstractEnd, Free, check_end
 from rodjax.loads import AbstractLoad, LinearDrag
@@ -75,6 +78,11 @@ class Scene(eqx.Module):
                 continue
             if not np.all(sum(np.asarray(v) for v in values) > 0):
                 raise ValueError(f"{name}: a rod with mass=None needs a positive {name} LinearDrag")
+
+    def __repr__(self) -> str:
+        parts = [f"    {f.name}={brief(getattr(self, f.name))}," for f in dataclasses.fields(self)]
+        rod = f"    rod={self.rod!r},"
+        return "\n".join(["Scene(", rod, *parts[1:], ")"])
 
     @property
     def ends(self) -> tuple[AbstractEnd, AbstractEnd]:
