@@ -80,7 +80,7 @@ def admissible(scene: Scene, state: State) -> Admissible:
     shear = balance.constraint_tangent(rod, kinematics).constraint_spin  # gamma x d theta_e
     length = jnp.sum(rod.length)
     compliance = rod.compliance
-    give = None if compliance is None else compliance > 0
+    give = None if compliance is None else (compliance > 0).astype(dtype)
 
     def expand(y):
         """Motion of the nodes for the parameters y = (u_0 / L, spins, g)."""

@@ -55,7 +55,7 @@ def internal_moment(rod: Rod, rotation: Float[Array, "n 3"]) -> Float[Array, "n 
 
 def constraint(rod: Rod, stretch: Float[Array, "n 3"], force: Float[Array, "n 3"]):
     """gamma - e3 - compliance f: zero for an admissible motion."""
-    gap = stretch - jnp.asarray([0.0, 0.0, 1.0], stretch.dtype)
+    gap = stretch - jnp.asarray([[0.0, 0.0, 1.0]], stretch.dtype)
     return gap if rod.compliance is None else gap - rod.compliance * force
 
 
@@ -103,7 +103,7 @@ def _kinematic_maps(kinematics: Strains):
     phi = kinematics.rotation
     squared = jnp.sum(phi * phi, -1)[:, None, None]
     skew = rotations.hat(phi)
-    eye = jnp.eye(3, dtype=phi.dtype)
+    eye = jnp.eye(3, dtype=phi.dtype)[None]
     outer = phi[:, :, None] * phi[:, None, :] - squared * eye  # hat(phi)^2
     a = eye + 0.5 * skew + rotations.inverse_tangent_coefficient(squared) * outer
     turn = rotations.midframe_coefficient(squared) * skew
@@ -141,7 +141,7 @@ def element_tangent(
     q = internal_moment(rod, phi)
     w = rod.length[:, None] * rotations.cross(force, gamma)
     squared = jnp.sum(phi * phi, -1)[:, None, None]
-    eye = jnp.eye(3, dtype=phi.dtype)
+    eye = jnp.eye(3, dtype=phi.dtype)[None]
     outer = lambda x, y: x[:, :, None] * y[:, None, :]
     dot = lambda x, y: jnp.sum(x * y, -1)[:, None, None] * eye
     hat = rotations.hat
@@ -212,7 +212,7 @@ def assemble(
     edge = jnp.swapaxes(tangent.frame, 1, 2) * (l / rod.length)[:, None, None]
     give = zero
     if rod.compliance is not None:
-        give = -f * rod.compliance[:, :, None] * jnp.eye(3, dtype=dtype)
+        give = -f * rod.compliance[:, :, None] * jnp.eye(3, dtype=dtype)[None]
     cs_i, cs_j = jnp.split(tangent.constraint_spin, 2, axis=2)
     fs_i, fs_j = jnp.split(tangent.force_spin / f, 2, axis=2)
     me_i, me_j = jnp.split(tangent.moment_edge / f, 2, axis=1)
@@ -230,7 +230,8 @@ def assemble(
     lower = before(grid((-edge, zero, cs_i), (zero, zero, fs_i), (-me_j, zero, ms_ji)))
     upper = after(grid(nothing, (zero, -tangent.frame, -fs_j), (me_i, mf_i, ms_ij)))
     unit = jnp.repeat(jnp.stack([jnp.ones_like(f), l]), 3)
-    scaled = node * (unit[::-1] / (f * unit[:, None]))  # rows by 1/F, 1/(F l), columns by l, 1
+    # rows by 1/F, 1/(F l), columns by l, 1
+    scaled = node * (unit[None, ::-1] / (f * unit[:, None]))[None]
     own = jnp.concatenate([scaled[:, :, :3], jnp.zeros_like(node[:, :, :3]), scaled[:, :, 3:]], 2)
     # the element before node 0 does not exist: its force is a dummy, set to zero
     dummy = jnp.zeros((9, 9), dtype).at[:3, 3:6].set(jnp.eye(3, dtype=dtype))

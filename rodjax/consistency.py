@@ -128,12 +128,12 @@ class _Constrained(eqx.Module):
         blocks = lax.stop_gradient(blocks)
         return cls(scene, state, kinematics, rigid, both, scales, matrix, blocks)
 
-    def _units(self) -> tuple[Float[Array, "6"], Float[Array, "6"]]:
+    def _units(self) -> tuple[Float[Array, "1 6"], Float[Array, "1 6"]]:
         """Units of the balances' rows and of the rates."""
         scales, one = self.scales, jnp.ones_like(self.scales.length)
         return (
-            jnp.repeat(jnp.stack([scales.force, scales.force * scales.length]), 3),
-            jnp.repeat(jnp.stack([scales.length, one]), 3),
+            jnp.repeat(jnp.stack([scales.force, scales.force * scales.length]), 3)[None],
+            jnp.repeat(jnp.stack([scales.length, one]), 3)[None],
         )
 
     def multiply(self, x: Float[Array, "nodes 9"]) -> Float[Array, "nodes 9"]:
@@ -243,7 +243,7 @@ def restart(
     internal = balance.internal(rod, state.position, state.quaternion, jnp.zeros_like(state.force))
     given = jnp.zeros_like(state.force)
     if rod.compliance is not None:
-        axial = jnp.asarray([0.0, 0.0, 1.0], given.dtype)
+        axial = jnp.asarray([[0.0, 0.0, 1.0]], given.dtype)
         give = jnp.where(rod.compliance > 0, rod.compliance, 1.0)
         given = jnp.where(rod.compliance > 0, (system.kinematics.stretch - axial) / give, 0.0)
         given = given / system.scales.force
@@ -349,7 +349,7 @@ def _refined(matrix: BlockTridiagonal, b: Float[Array, "nodes 9"]) -> Float[Arra
 def _release(blocks: BlockTridiagonal, rigid: Float[Array, "n 3"]) -> BlockTridiagonal:
     """Rows of the constraint replaced by `multiplier = right side` where the rod is compliant."""
     keep = rigid[:, :, None]
-    multiplier = jnp.eye(3, 9, k=3, dtype=rigid.dtype)
+    multiplier = jnp.eye(3, 9, k=3, dtype=rigid.dtype)[None]
     diagonal = blocks.diagonal.at[1:, :3].set(
         keep * blocks.diagonal[1:, :3] + (1 - keep) * multiplier
     )
@@ -384,4 +384,4 @@ def _inertia_matrix(scene: Scene, state: State) -> Float[Array, "nodes 6 6"]:
     segment = jnp.trace(matrix[:, :3, :3], axis1=1, axis2=2) / 3 * rod.node_length**2 / 12
     angular = jnp.diagonal(matrix[:, 3:, 3:], axis1=1, axis2=2)
     add = jnp.where(angular > 0, 0.0, segment[:, None])
-    return matrix.at[:, 3:, 3:].add(add[:, :, None] * jnp.eye(3, dtype=matrix.dtype))
+    return matrix.at[:, 3:, 3:].add(add[:, :, None] * jnp.eye(3, dtype=matrix.dtype)[None])

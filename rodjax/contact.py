@@ -175,11 +175,11 @@ def sites(contact: Contact, rod: Rod) -> Sites:
         place = jnp.searchsorted(nodes, s, side="right", method="compare_all")
         return jnp.clip(place - 1, 0, rod.elements - 1)
 
-    joints = total / contact.segments * jnp.arange(contact.segments + 1)
+    joints = total / contact.segments * jnp.arange(contact.segments + 1, dtype=total.dtype)
     stencil = min(4, rod.elements + 1)
     first = jnp.clip(element(joints) - 1, 0, rod.elements + 1 - stencil)
-    chosen = first[:, None] + jnp.arange(stencil)
-    index = jnp.arange(contact.segments * contact.points_per_segment)
+    chosen = first[:, None] + jnp.arange(stencil, dtype=first.dtype)[None]
+    index = jnp.arange(contact.segments * contact.points_per_segment, dtype=total.dtype)
     s = ((index + 0.5) * spacing).reshape(contact.segments, contact.points_per_segment)
     at = element(s)
     mass = None if rod.mass is None else rod.mass[at]

@@ -153,10 +153,10 @@ def _blocks(contact, where, near, joints, velocities, by_velocity):
     Forces are those on the four joints of every pair.
     """
     count = contact.points_per_segment
-    part = (jnp.arange(count) + 0.5) / count
+    part = (jnp.arange(count, dtype=joints.dtype) + 0.5) / count
     one, other = jnp.broadcast_arrays(part[:, None], part[None, :])
     # x_b - x_a = sum_i mix[a, b, i] X_i over the four joints
-    mix = jnp.stack([one - 1, -one, 1 - other, other], -1).astype(joints.dtype)
+    mix = jnp.stack([one - 1, -one, 1 - other, other], -1)
     index = jnp.stack(joints_of(near), 1)
     capacity = index.shape[0]
     padded = -(-capacity // BLOCK) * BLOCK
@@ -169,7 +169,7 @@ def _blocks(contact, where, near, joints, velocities, by_velocity):
     def evaluate(row):
         first, index = row
         # components lead: arrays with a last axis of three are slow on a CPU
-        valid = first + jnp.arange(BLOCK) < near.count
+        valid = first + jnp.arange(BLOCK, dtype=jnp.int32) < near.count
         s, mean = where.arc_length, lambda v: 0.5 * (at_a(v, index) + at_b(v, index))
         pair = PairProperties(
             mean(where.diameter), None if where.mass is None else mean(where.mass)
@@ -181,7 +181,7 @@ def _blocks(contact, where, near, joints, velocities, by_velocity):
         acts = acts & valid[:, None, None] & (squared > 0)
         # pairs that do not act are put at the cut-off, where everything is zero and smooth
         distance = jnp.where(acts, jnp.sqrt(jnp.where(acts, squared, 1.0)), contact.cutoff)
-        n = jnp.where(acts, r / distance, 0.0)
+        n = jnp.where(acts[None], r / distance[None], 0.0)
         opening = jnp.sum(n * w, 0)
         corner = joints[index]  # (q, 4, 3)
         chords = corner[:, 1::2] - corner[:, ::2]
@@ -203,13 +203,16 @@ def _blocks(contact, where, near, joints, velocities, by_velocity):
                 p, pull = jax.vjp(magnitude, *inputs)
                 p_d, p_c, p_a, p_b = (jnp.where(acts, g, 0.0) for g in pull(jnp.ones_like(p)))
                 p = jnp.where(acts, p, 0.0)
-                g = (p_d - by_velocity * p_c) * n + (
-                    p_a * (ta - cosine_a * n) + p_b * (tb - cosine_b * n) - p_c * (w - opening * n)
-                ) / distance
                 over = p / distance
-                size_a, size_b = lengths[:, 0, None, None], lengths[:, 1, None, None]
-                by_a, by_b = p_a * (n - cosine_a * ta) / size_a, p_b * (n - cosine_b * tb) / size_b
-                return p, over, g - over * n, by_a, by_b
+                # numbers of the pairs of points beside vectors, whose components lead
+                p_d, p_c, p_a, p_b = (x[None] for x in (p_d, p_c, p_a, p_b))
+                c_a, c_b, along = (x[None] for x in (cosine_a, cosine_b, opening))
+                g = (p_d - by_velocity * p_c) * n + (
+                    p_a * (ta - c_a * n) + p_b * (tb - c_b * n) - p_c * (w - along * n)
+                ) / distance[None]
+                size_a, size_b = (lengths[None, :, k, None, None] for k in (0, 1))
+                by_a, by_b = p_a * (n - c_a * ta) / size_a, p_b * (n - c_b * tb) / size_b
+                return p, over, g - over[None] * n, by_a, by_b
 
             point, vector = jnp.zeros_like(distance), jnp.zeros_like(n)
             nothing = lambda: (point, point, vector, vector, vector)
@@ -217,11 +220,11 @@ def _blocks(contact, where, near, joints, velocities, by_velocity):
             # anew for every one of the numbers below
             p, over, g, by_a, by_b = lax.cond(first < near.count, slopes, nothing)
             h = _by_joints(mix, n, over, g, by_a, by_b)
-        force = jnp.einsum("abi,kqab->qik", mix, p * n)
+        force = jnp.einsum("abi,kqab->qik", mix, p[None] * n)
         ratio = jnp.min(jnp.where(p != 0, distance / pair.diameter, jnp.inf))
         return PairForces(force, h, ratio, jnp.sum(jnp.abs(p)))
 
-    rows = jnp.arange(0, padded, BLOCK), index.reshape(-1, BLOCK, 4)
+    rows = jnp.arange(0, padded, BLOCK, dtype=jnp.int32), index.reshape(-1, BLOCK, 4)
     zeros = lambda *shape: jnp.zeros(shape, joints.dtype)
     derivative = None if by_velocity is None else zeros(BLOCK, 4, 4, 3, 3)
     empty = PairForces(zeros(BLOCK, 4, 3), derivative, zeros() + jnp.inf, zeros())
@@ -240,12 +243,12 @@ def _by_joints(mix, n, over, g, by_a, by_b) -> Float[Array, "q 4 4 3 3"]:
     n, g, by_a, by_b = (flat(v) for v in (n, g, by_a, by_b))
     chords = jnp.stack([-by_a, by_a, -by_b, by_b])  # (j, l, q, x)
     at_j = mix.T[:, None, None, :]
-    left = jnp.einsum("ikqx->qikx", at_j * n).reshape(block, 12, points)
-    right = jnp.einsum("jlqx->qxjl", at_j * g + chords).reshape(block, points, 12)
+    left = jnp.einsum("ikqx->qikx", at_j * n[None]).reshape(block, 12, points)
+    right = jnp.einsum("jlqx->qxjl", at_j * g[None] + chords).reshape(block, points, 12)
     outer = (left @ right).reshape(block, 4, 3, 4, 3)
     products = (mix[:, :, None] * mix[:, None, :]).reshape(points, 16)
     across = (flat(over)[0] @ products).reshape(block, 4, 4, 1, 1)
-    return -(jnp.swapaxes(outer, 2, 3) + across * jnp.eye(3, dtype=n.dtype))
+    return -(jnp.swapaxes(outer, 2, 3) + across * jnp.eye(3, dtype=n.dtype)[None, None, None])
 
 
 def gather(near: Near, force: Float[Array, "q 4 3"], joints: int) -> Float[Array, "j 3"]:

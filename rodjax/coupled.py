@@ -77,9 +77,9 @@ class Coupling(eqx.Module):
     def weights(self, size: int) -> Float[Array, "nodes m"]:
         """Interpolation weights of the first joints, those in contact among them, at the nodes."""
         chosen = self.near.order[:size]
-        node = jnp.arange(self.left.shape[0])[:, None, None]
-        at = node == self.where.nodes[chosen]
-        return jnp.sum(jnp.where(at, self.where.weight[chosen], 0.0), 2)
+        node = jnp.arange(self.left.shape[0], dtype=jnp.int32)[:, None, None]
+        at = node == self.where.nodes[chosen][None]
+        return jnp.sum(jnp.where(at, self.where.weight[chosen][None], 0.0), 2)
 
     def read(self, nodal: Float[Array, "nodes 3 c"], level: Level) -> Float[Array, "k c"]:
         """Displacements of the joints in contact, or of their nodes, from those of all nodes."""

@@ -42,7 +42,7 @@ def _force_energy_density(rod: Rod, state: State) -> Float[Array, "n 3"]:
     if rod.compliance is None:
         return jnp.zeros_like(rod.stiffness)
     stretch = strains(rod, state.position, state.quaternion).stretch
-    gap = stretch - jnp.asarray([0.0, 0.0, 1.0], stretch.dtype)
+    gap = stretch - jnp.asarray([[0.0, 0.0, 1.0]], stretch.dtype)
     gives = rod.compliance > 0
     return jnp.where(gives, 0.5 * gap**2 / jnp.where(gives, rod.compliance, 1.0), 0.0)
 
@@ -274,5 +274,5 @@ def ledger(scene: Scene, run: Run) -> Ledger:
     lost = run.infos.projection_loss.reshape(gains.shape[0] - 1, -1).sum(1)
     lost = jnp.concatenate([jnp.zeros_like(lost[:1]), lost])
     total = jnp.cumsum(jnp.concatenate([gains, lost[:, None]], 1), 0)
-    total = total - total[0]
+    total = total - total[:1]
     return Ledger(states.time, *total[:, :2].T, *stored.T, *total[:, 2:].T)

@@ -203,8 +203,8 @@ def _follow(scene, state, stop, load_steps, tolerance, max_iterations, max_rotat
             keep(x, path.x),
             result,
             path.iterations + solved.iterations,
-            path.accepted + good,
-            path.rejected + ~good,
+            path.accepted + good.astype(jnp.int32),
+            path.rejected + (~good).astype(jnp.int32),
             keep(target, path.reached),
         )
 

@@ -124,7 +124,7 @@ class Gravity(AbstractLoad):
         if self.fluid_density is not None:
             area = _need(rod, "area", "Gravity with buoyancy")
             density = density - self.fluid_density * area
-        return rod.to_nodes(density)[:, None] * self.acceleration
+        return rod.to_nodes(density)[:, None] * self.acceleration[None]
 
     def wrench(self, rod, motion):
         weight = self.weight(rod)
@@ -195,7 +195,7 @@ class MorisonDrag(AbstractLoad):
         tangent = rotations.tangent_director(motion.quaternion)
         area = _need(rod, "area", "MorisonDrag with added mass")
         amount = self.fluid_density * self.added_mass_coefficient * rod.to_nodes(area)
-        across = jnp.eye(3, dtype=tangent.dtype) - tangent[:, :, None] * tangent[:, None, :]
+        across = jnp.eye(3, dtype=tangent.dtype)[None] - (tangent[:, :, None] * tangent[:, None, :])
         return amount[:, None, None] * across
 
 

@@ -153,9 +153,10 @@ def apex(state: State, axis: Float[Array, "3"], origin: Float[Array, "3"] | None
     is continuous up to third order in the element length where the farthest node changes, and
     without meaning while the rod is straight.
     """
+    axis = jnp.asarray(axis, state.position.dtype)
     unit = axis / jnp.linalg.norm(axis)
-    offset = state.position - (state.position[0] if origin is None else origin)
-    squared = jnp.sum(jnp.cross(offset, unit) ** 2, 1)
+    offset = state.position - (state.position[0] if origin is None else origin)[None]
+    squared = jnp.sum(jnp.cross(offset, unit[None]) ** 2, 1)
     k = jnp.clip(jnp.argmax(squared), 1, squared.shape[0] - 2)
     near = lambda values: lax.dynamic_slice_in_dim(values, k - 1, 3)
     a, b, c = near(squared)
@@ -165,7 +166,9 @@ def apex(state: State, axis: Float[Array, "3"], origin: Float[Array, "3"] | None
     x = jnp.clip(x, -1.0, 1.0)
     weights = jnp.stack([0.5 * x * (x - 1), 1 - x * x, 0.5 * x * (x + 1)])
     tangent = weights @ near(rotations.tangent_director(state.quaternion))
-    return Apex(k + x, weights @ near(state.position), tangent / jnp.linalg.norm(tangent))
+    return Apex(
+        k.astype(x.dtype) + x, weights @ near(state.position), tangent / jnp.linalg.norm(tangent)
+    )
 
 
 def apex_angle(

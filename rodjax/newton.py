@@ -106,13 +106,13 @@ def _updated(equations, loop: _Loop, dx, tolerance, growth=1.0) -> _Loop:
     contraction = jnp.where(loop.iterations > 0, full / loop.size, 1.0)
     ahead = growth * contraction
     left = full * jnp.minimum(ahead / jnp.maximum(1 - ahead, 0.5), 1.0)
-    slow = loop.slow + ((contraction > 0.7) & (loop.iterations > 0) & (scale >= 1.0))
+    slow = (contraction > 0.7) & (loop.iterations > 0) & (scale >= 1.0)
     return _Loop(
         equations.retract(loop.x, scale * dx),
         loop.iterations + 1,
         full,
         contraction,
-        slow.astype(jnp.int32),
+        loop.slow + slow.astype(jnp.int32),
         (left <= tolerance) & (scale >= 1.0),
         jnp.isfinite(full),
     )

@@ -101,7 +101,7 @@ class PaperEquations(eqx.Module):
     def guess(self) -> Float[Array, "nodes 12"]:
         """x for the rates of the step's start."""
         rate = jnp.pad(self.fields.rate, ((0, 0), (0, 3)))
-        return (self.fields.value + self.dt * rate) / self.units
+        return (self.fields.value + self.dt * rate) / self.units[None]
 
     def new_rate(self, value: Float[Array, "nodes 12"]) -> Float[Array, "nodes 9"]:
         """Rates of (v, omega, q) at t_n."""
@@ -115,7 +115,7 @@ class PaperEquations(eqx.Module):
 
     def points(self, x: Float[Array, "nodes 12"]) -> Point:
         """The nodes at the weighted level."""
-        w, old, value = weights(self.rho_time), self.fields, x * self.units
+        w, old, value = weights(self.rho_time), self.fields, x * self.units[None]
         turn = (1 - w.alpha_k) * self.turn(value)
         return Point(
             now=value,
@@ -190,7 +190,7 @@ class PaperEquations(eqx.Module):
         rise = (b.stepped - a.stepped) / rod.length
         slope = (rise - (1 - w.gamma) * jump) / w.gamma
         residual = _mix(w.alpha_m, jump, slope) - inside
-        scale = self.length / self.units
+        scale = (self.length / self.units)[None]
         return residual * scale, slope * scale
 
     @property

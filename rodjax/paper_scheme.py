@@ -162,7 +162,7 @@ def paper_step(
     x, solved = newton.iterate(
         equations, equations.guess(), method.tolerance, method.max_iterations
     )
-    value = x * equations.units
+    value = x * equations.units[None]
     rate = equations.new_rate(value)
     new = _configuration(scene, equations, value, rate)
     info = no_info(state.position.dtype)._replace(
@@ -196,7 +196,7 @@ def _configuration(scene: Scene, equations: PaperEquations, value, rate) -> Stat
     middle = rotations.multiply(frames[:-1], rotations.exponential(0.5 * phi))
     edges = rod.length[:, None] * rotations.tangent_director(middle)
     origin = old.position[0] + increment[:3]
-    position = origin + jnp.concatenate([jnp.zeros_like(edges[:1]), jnp.cumsum(edges, 0)])
+    position = origin[None] + jnp.concatenate([jnp.zeros_like(edges[:1]), jnp.cumsum(edges, 0)])
     # the algorithmic rates stand for an earlier time: carried on to the step's end
     w = weights(equations.rho_time)
     rate = rate + (w.alpha_k - w.alpha_m) * (rate - equations.fields.rate)

@@ -119,15 +119,17 @@ def _listed(near: Bool[Array, "g g"] | None, sizes, where: Sites, nodes: int) ->
     involved = jnp.zeros((joints,), bool).at[:-1].set(segments)
     involved = involved | jnp.roll(involved, 1)
     order, rank, involving = _first(involved)
-    fits = (involving <= jnp.asarray([size.joints for size in sizes])) & (
-        count <= jnp.asarray([size.pairs for size in sizes])
+    holds = lambda numbers: jnp.asarray(numbers, jnp.int32)
+    fits = (involving <= holds([size.joints for size in sizes])) & (
+        count <= holds([size.pairs for size in sizes])
     )
     node = None
     if sizes[-1].nodes is not None:
         between = jnp.zeros((nodes,), jnp.int32).at[where.nodes]
-        between = between.add(involved[:, None] & (where.weight != 0)) > 0
+        touched = involved[:, None] & (where.weight != 0)
+        between = between.add(touched.astype(jnp.int32)) > 0
         node, _, count_nodes = _first(between)
-        fits = fits & (count_nodes <= jnp.asarray([size.nodes for size in sizes]))
+        fits = fits & (count_nodes <= holds([size.nodes for size in sizes]))
     overflow = ~fits[-1]
     level = jnp.where(overflow, len(sizes), jnp.argmax(fits) + 1)
     level = jnp.where(count == 0, 0, level).astype(jnp.int32)
@@ -136,11 +138,12 @@ def _listed(near: Bool[Array, "g g"] | None, sizes, where: Sites, nodes: int) ->
 
 def _first(chosen: Bool[Array, " k"]) -> tuple[Int[Array, " k"], Int[Array, " k"], Int[Array, ""]]:
     """All indices, the chosen ones first; the place of each; how many are chosen."""
-    count = jnp.sum(chosen)
-    index = jnp.arange(chosen.shape[0])
-    before = jnp.cumsum(chosen) - chosen
-    place = jnp.where(chosen, before, count + index - before).astype(jnp.int32)
-    return jnp.zeros_like(place).at[place].set(index.astype(jnp.int32)), place, count
+    ones = chosen.astype(jnp.int32)
+    count = jnp.sum(ones, dtype=jnp.int32)
+    index = jnp.arange(chosen.shape[0], dtype=jnp.int32)
+    before = jnp.cumsum(ones, dtype=jnp.int32) - ones
+    place = jnp.where(chosen, before, count + index - before)
+    return jnp.zeros_like(place).at[place].set(index), place, count
 
 
 def approach_limit(
@@ -158,15 +161,15 @@ def approach_limit(
     x, dx = (lax.stop_gradient(interpolate(where, v)) for v in (position, change))
     diameter, excluded, law = lax.stop_gradient((where.diameter, contact.excluded, contact.law))
     arc_length = lax.stop_gradient(where.arc_length)
-    part = (jnp.arange(contact.points_per_segment) + 0.5) / contact.points_per_segment
-    part = part.astype(position.dtype)
+    count = contact.points_per_segment
+    part = (jnp.arange(count, dtype=position.dtype) + 0.5) / count
 
     def points(values, segment):
         a, b = values[segment][:, None], values[segment + 1][:, None]
         return a + part[None, :, None] * (b - a)
 
     def body(i, limit):
-        at = i * BLOCK + jnp.arange(BLOCK)
+        at = i * BLOCK + jnp.arange(BLOCK, dtype=jnp.int32)
         valid = at < near.count
         first, second = near.first[at], near.second[at]
         pair = lambda v: points(v, second)[:, None, :] - points(v, first)[:, :, None]
@@ -208,7 +211,7 @@ def passage_suspected(
 
 def _crossings(near: Near, old: Float[Array, "j 3"], new: Float[Array, "j 3"]) -> Bool[Array, " q"]:
     """Which pairs crossed while their joints moved straight from old to new."""
-    valid = jnp.arange(near.first.shape[0]) < near.count
+    valid = jnp.arange(near.first.shape[0], dtype=jnp.int32) < near.count
 
     def chords(x):
         a, b = x[near.first], x[near.second]

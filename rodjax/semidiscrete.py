@@ -120,7 +120,7 @@ def _accelerations(scene: Scene, motion: NodeMotion, both, prescribed) -> Float[
 def _with_added_mass(mass, added, force, both, prescribed):
     """Linear accelerations where added mass couples an end's free and constrained directions."""
     eye = jnp.eye(3, dtype=force.dtype)
-    matrix = mass[:, None, None] * eye + added
+    matrix = mass[:, None, None] * eye[None] + added
     for index, projector in zip((0, -1), both, strict=True):
         fixed = projector[:3, :3]
         free = eye - fixed

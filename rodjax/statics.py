@@ -97,7 +97,8 @@ class StaticEquations(eqx.Module):
         start, left = ramp.imbalance, 1 - ramp.factor
         wrench = wrench - left * jnp.concatenate([start.force, start.moment], 1)
         constraint = constraint - left * start.constraint
-        wrench = wrench / jnp.repeat(jnp.stack([scales.force, scales.force * scales.length]), 3)
+        unit = jnp.repeat(jnp.stack([scales.force, scales.force * scales.length]), 3)
+        wrench = wrench / unit[None]
         wrench = ends.impose(wrench, self._gaps(motion), projectors(scene, self.start.time))
         constraint = jnp.concatenate([x[:1, 3:6], constraint])
         return jnp.concatenate([constraint, wrench], 1)

@@ -102,13 +102,13 @@ class StepEquations(eqx.Module):
         if contact_force is not None:
             wrench = wrench.at[:, :3].add(-contact_force)
         scale = jnp.repeat(jnp.stack([scales.force, scales.force * scales.length]), 3)
-        wrench = wrench / scale
+        wrench = wrench / scale[None]
         unit = jnp.repeat(jnp.stack([scales.length, jnp.ones_like(scales.length)]), 3)
         prescribed = [
             ends.increments(end, self.state.time, self.stop, self.state.quaternion[index])
             for index, end in zip((0, -1), scene.ends, strict=True)
         ]
-        gaps = _gap(jnp.stack([increment[0], increment[-1]]), jnp.stack(prescribed)) / unit
+        gaps = _gap(jnp.stack([increment[0], increment[-1]]), jnp.stack(prescribed)) / unit[None]
         wrench = ends.impose(wrench, gaps, projectors(scene, self.state.time))
         # the element before node 0 does not exist: its force is a dummy, zero
         constraint = jnp.concatenate([x[:1, 3:6], constraint])
