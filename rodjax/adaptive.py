@@ -63,6 +63,17 @@ def adaptive_rollout(
     `run.times[1:]` by `rollout`, whose derivative is exact for that schedule.
     `compile_adaptive_rollout` compiles the loop beforehand.
 
+    Args:
+        scene, state: the scene, and where the run begins (`start(scene)`, or the end of a run).
+        end_time: where it ends [s].
+        method: the time integration; default `GeneralizedAlpha()`.
+        control: tolerances and bounds of the steps; default `StepControl()`.
+        resume: the `control` of an earlier `Run`, so as to go on from its end as if uncut.
+        max_steps: accepted steps after which the run fails by MAX_STEPS.
+        chunk: accepted steps between two returns to Python.
+        on_chunk: called with every part.
+        throw: raise `SimulationError` if the run fails; else its code is in `Run.result`.
+
     Raises:
         ValueError: a schedule of the scene ends before `end_time`, or a tolerance is out of
             reach of the precision.

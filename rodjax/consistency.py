@@ -35,6 +35,8 @@ def start(
     """Consistent state at the start of a run.
 
     Args:
+        scene: what is to run.
+        time: of the state [s].
         position, quaternion: configuration; the rod's own placing by default. Without compliance
             it must be unstretched (each edge along its element frame with the rest length). Of
             given frames an element's two are taken to be less than half a turn apart.

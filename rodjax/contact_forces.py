@@ -270,7 +270,14 @@ def forces(
 
 
 class ContactReport(NamedTuple):
-    """Contact of one configuration."""
+    """Contact of one configuration.
+
+    Attributes:
+        force: on the nodes, inertial components [N].
+        total: sum of the magnitudes of all forces between points [N].
+        smallest: least d/D, distance over diameter, of the points that act; infinite without one.
+        overflow: pairs were left out; raise the contact's `capacities` or `pairs_per_segment`.
+    """
 
     force: Float[Array, "nodes 3"]  # on the nodes [N]
     total: Float[Array, ""]  # sum of the magnitudes of all forces between points [N]

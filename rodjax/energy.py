@@ -48,34 +48,37 @@ def _force_energy_density(rod: Rod, state: State) -> Float[Array, "n 3"]:
 
 
 def strain_energy_density(rod: Rod, state: State) -> Float[Array, " n"]:
-    """Eq. (4) per element, (kappa - kappa0)^T B (kappa - kappa0) / 2, plus that of f [J/m]."""
+    """Strain energy per length of the elements of a rod in this state [J/m].
+
+    Eq. (4), (kappa - kappa0)^T B (kappa - kappa0) / 2, plus that of f.
+    """
     density = jnp.sum(_moment_energy_density(rod, state), 1)
     return density + jnp.sum(_force_energy_density(rod, state), 1)
 
 
 def bending_energy(scene: Scene, state: State) -> Float[Array, ""]:
-    """The part of Eq. (4) in A1 and A2, over the rod [J]."""
+    """The part of Eq. (4) in A1 and A2, over the rod of the scene in this state [J]."""
     rod = scene.rod
     return jnp.sum(rod.length[:, None] * _moment_energy_density(rod, state)[:, :2])
 
 
 def torsion_energy(scene: Scene, state: State) -> Float[Array, ""]:
-    """The part of Eq. (4) in C, over the rod [J]."""
+    """The part of Eq. (4) in C, over the rod of the scene in this state [J]."""
     return jnp.sum(scene.rod.length * _moment_energy_density(scene.rod, state)[:, 2])
 
 
 def axial_energy(scene: Scene, state: State) -> Float[Array, ""]:
-    """Energy of stretch and shear, from the strains [J]; zero for an inextensible rod."""
+    """Energy of stretch and shear of the scene's rod in this state [J]; zero if inextensible."""
     return jnp.sum(scene.rod.length[:, None] * _force_energy_density(scene.rod, state))
 
 
 def kinetic_energy(scene: Scene, state: State) -> Float[Array, ""]:
-    """Eq. (6) over the rod, with the added mass of the loads [J]."""
+    """Eq. (6) over the scene's rod in this state, with the added mass of the loads [J]."""
     return inertia.kinetic_energy(scene, node_motion(state))
 
 
 def gravity_energy(scene: Scene, state: State) -> Float[Array, ""]:
-    """Potential of the weight less buoyancy, zero at the origin [J]."""
+    """Potential of the scene's weight less buoyancy in this state, zero at the origin [J]."""
     energy = jnp.zeros((), state.position.dtype)
     for load in scene.loads:
         if isinstance(load, Gravity):
@@ -84,7 +87,9 @@ def gravity_energy(scene: Scene, state: State) -> Float[Array, ""]:
 
 
 def contact_wrench(scene: Scene, state: State) -> Float[Array, "nodes 6"]:
-    """What contact exerts on the nodes: force (inertial) [N], moment (body) [N m].
+    """What the scene's contact exerts on the nodes of this state.
+
+    Columns: force, inertial (3) [N], and moment in the body frame (3) [N m].
 
     The one place where energies and reactions meet contact.
     """
@@ -105,7 +110,13 @@ def _unbalanced_ends(
 
 
 class Reactions(NamedTuple):
-    """What the two ends exert on the rod, that at s = 0 first."""
+    """What the two ends exert on the rod, that at s = 0 first.
+
+    Attributes:
+        force: inertial components [N].
+        torque: about the end's own node, inertial components [N m].
+        body_torque: the same in the end's cross-section frame (a_1, a_2, tangent).
+    """
 
     force: Float[Array, "2 3"]  # inertial components [N]
     torque: Float[Array, "2 3"]  # about the end's own node, inertial components [N m]
@@ -132,6 +143,19 @@ class Ledger(NamedTuple):
 
     Work is positive when it is done on the rod, except `contact_work`, which the rod does on its
     contacts (stored there or lost); losses are positive when energy is lost.
+
+    Attributes:
+        time: [s]; all that follows [J].
+        drive_work: done by the prescribed motion of both ends.
+        load_work: done by all loads but gravity, drag and damping.
+        bending, torsion: stored by Eq. (4), in A1 and A2, and in C.
+        axial: stored in stretch and shear.
+        kinetic: Eq. (6), with added mass.
+        gravity: potential of the weight less buoyancy.
+        contact_work: done by the rod on its contacts.
+        drag_loss: to `MorisonDrag`.
+        damping_loss: to `LinearDrag`.
+        projection_loss: kinetic energy lost where a constraint began.
     """
 
     time: Float[Array, " k"]
@@ -228,7 +252,7 @@ def _added_mass_loss(scene: Scene, before: State, after: State) -> Float[Array, 
 
 @compiled
 def ledger(scene: Scene, run: Run) -> Ledger:
-    """Energy ledger of a run over its saved states.
+    """Energy ledger of a run of the scene over its saved states.
 
     Work between two saved states is the mean of the forces at both times the actual displacements
     and rotations: second order in the time between them. One scan, so memory does not grow with

@@ -28,6 +28,14 @@ class Stability(NamedTuple):
       complex; a real one that passes zero means divergence, as above, but none of them tells of
       flutter. So `stable` is then judged by the motion itself, M x'' + D x' + K x = 0 with the
       mass and the damping that the loads have: whether no solution grows.
+
+    Attributes:
+        eigenvalues, imaginary: real and imaginary parts [N].
+        modes, imaginary_modes: real and imaginary parts of the displacement, inertial (3) [m], and
+            of the body spin (3) [rad] of every node.
+        stable: whether small disturbances stay small.
+        antisymmetry: 0 where there is a potential.
+        symmetric: which problem was solved.
     """
 
     eigenvalues: Float[Array, " k"]  # real parts [N]
@@ -40,7 +48,7 @@ class Stability(NamedTuple):
 
 
 def stability(scene: Scene, state: State, count: int = 1) -> Stability:
-    """The `count` lowest eigenvalues of the tangent at an equilibrium, and whether it is stable.
+    """The `count` lowest eigenvalues of a scene's tangent at an equilibrium; whether it is stable.
 
     The norm is the integral of |spin|^2 ds (and, in a compliant rod, of the squared variation of
     stretch and shear), so eigenvalues are forces [N]: for a straight column under a thrust P the

@@ -29,7 +29,15 @@ _HALVINGS = 12
 
 
 class EquilibriumInfo(NamedTuple):
-    """How the equilibrium was found."""
+    """How the equilibrium was found.
+
+    Attributes:
+        result: a `Result` as a number; 0 is success.
+        iterations: Newton iterations in all.
+        load_steps: accepted steps of the path.
+        rejected: steps that were halved.
+        reached: how far along the path, 1 at its end.
+    """
 
     result: Int[Array, ""]
     iterations: Int[Array, ""]  # Newton iterations in all
@@ -39,7 +47,12 @@ class EquilibriumInfo(NamedTuple):
 
 
 def placing(scene: Scene, time: Number | Float[Array, ""] = 0.0) -> State:
-    """The rod at rest as it was built, without internal force: where a load path may start."""
+    """The rod at rest as it was built, without internal force: where a load path may start.
+
+    Args:
+        scene: whose rod it is.
+        time: of the state [s].
+    """
     rod = scene.rod
     dtype = rod.position.dtype
     rate = jnp.zeros((rod.elements + 1, 6), dtype)

@@ -21,7 +21,9 @@ from rodjax.strains import curvature, element_quaternions, strains
 
 
 def twist(state: State) -> Float[Array, ""]:
-    """Twist of the polygon of nodes between the frames of both ends [turns]: Tw of Tw + Wr = Lk.
+    """Twist of a state between the frames of its ends [turns]: Tw of Tw + Wr = Lk.
+
+    That of the polygon of nodes.
 
     Right as long as no element is twisted by a revolution (a step refuses 0.9 of one).
     """
@@ -35,12 +37,15 @@ def twist(state: State) -> Float[Array, ""]:
 
 
 def twist_eq15(rod: Rod, state: State) -> Float[Array, ""]:
-    """The paper's twist, Eq. (15) [turns]; `twist` to second order in the element length."""
+    """The paper's twist, Eq. (15), of a rod in a state [turns]; `twist` to second order in ds."""
     return topology.twist_integral(curvature(rod, state.quaternion), rod.length)
 
 
 def writhe(state: State, extension: Float[Array, ""] | float | None = None) -> Float[Array, ""]:
-    """Writhe of the rod extended straight along its end tangents, see `topology.writhe`."""
+    """Writhe of a state extended straight along its end tangents, by `extension` [m] if finite.
+
+    See `topology.writhe`.
+    """
     return topology.writhe(
         state.position,
         extension=extension,
@@ -52,7 +57,7 @@ def writhe(state: State, extension: Float[Array, ""] | float | None = None) -> F
 def turns(
     scene: Scene, time: Float[Array, ""] | float, start: Float[Array, ""] | float = 0.0
 ) -> Float[Array, ""]:
-    """Turns that the drives of both ends applied from `start` to `time`, in the sense of Lk.
+    """Turns that a scene's drives of both ends applied from `start` to `time`, in the sense of Lk.
 
     The end s = 0 turned by -turns about its tangent, or the other by +turns about its own, counts
     positive.
@@ -88,7 +93,15 @@ def _along(name: str, turn: Turn, frame: Float[Array, "4"]) -> Float[Array, ""]:
 
 
 class Linking(NamedTuple):
-    """Topology of a run at its saved times; all in turns."""
+    """Topology of a run at its saved times; all in turns.
+
+    Attributes:
+        time: [s].
+        twist: exact twist Tw of the polygon of nodes, so that Tw + Wr = Lk to rounding.
+        twist_eq15: the paper's, Eq. (15), equal to second order in the element length.
+        writhe: Wr.
+        turns: applied by the drives since the first state.
+    """
 
     time: Float[Array, " k"]
     twist: Float[Array, " k"]
@@ -104,7 +117,10 @@ class Linking(NamedTuple):
 
 
 def linking(scene: Scene, run: Run, extension: float | None = None) -> Linking:
-    """Twist, writhe and applied turns over the saved states of a run (one state at a time)."""
+    """Twist, writhe and applied turns over the saved states of a run (one state at a time).
+
+    The drives are those of the scene; `extension` is that of `topology.writhe` [m].
+    """
 
     applied = jax.vmap(lambda t: turns(scene, t, run.times[0]))(run.times)
     twists, integrals, writhes = _topology(scene.rod, run.states, extension)
@@ -119,7 +135,7 @@ def _topology(rod, states, extension):
 
 @compiled
 def contacts(scene: Scene, run: Run) -> ContactReport:
-    """Contact forces, their sum and the smallest gap at every saved time.
+    """Contact forces of a scene, their sum and the smallest gap at every saved time of a run.
 
     Raises:
         ValueError: the scene has no contact.
@@ -132,13 +148,19 @@ def contacts(scene: Scene, run: Run) -> ContactReport:
 
 
 def stretch_error(rod: Rod, state: State) -> Float[Array, ""]:
-    """Largest |gamma - e3 - compliance f| of any element and component [-]."""
+    """Largest |gamma - e3 - compliance f| of any element and component of a rod in a state [-]."""
     stretch = strains(rod, state.position, state.quaternion).stretch
     return jnp.max(jnp.abs(balance.constraint(rod, stretch, state.force)))
 
 
 class Apex(NamedTuple):
-    """The point of the rod that is farthest from the loading axis."""
+    """The point of the rod that is farthest from the loading axis.
+
+    Attributes:
+        index: node number, with a fraction.
+        position: [m].
+        tangent: unit third director there.
+    """
 
     index: Float[Array, ""]  # node number, with a fraction
     position: Float[Array, "3"]
@@ -146,7 +168,7 @@ class Apex(NamedTuple):
 
 
 def apex(state: State, axis: Float[Array, "3"], origin: Float[Array, "3"] | None = None) -> Apex:
-    """The apex with respect to the line along `axis` through `origin` (default: the node s = 0).
+    """The apex of a state from the line along `axis` through `origin` (default: the node s = 0).
 
     The node farthest from the line, refined by the parabola through the squared distances of it
     and its two neighbours; position and third director are interpolated quadratically there. It
@@ -174,7 +196,10 @@ def apex(state: State, axis: Float[Array, "3"], origin: Float[Array, "3"] | None
 def apex_angle(
     state: State, axis: Float[Array, "3"], origin: Float[Array, "3"] | None = None
 ) -> Float[Array, ""]:
-    """Angle between the tangent at the apex and the loading axis [rad], pi/2 when orthogonal."""
+    """Angle between the tangent at the apex and the loading axis [rad], pi/2 when orthogonal.
+
+    Arguments as those of `apex`: state, axis, origin.
+    """
     unit = axis / jnp.linalg.norm(axis)
     tangent = apex(state, axis, origin).tangent
     squared = jnp.sum(jnp.cross(tangent, unit) ** 2)
@@ -184,7 +209,7 @@ def apex_angle(
 
 
 def slopes(times: Float[Array, " k"], values: Float[Array, " k"]) -> Float[Array, " k"]:
-    """Rate of a sampled quantity, from the parabola through three consecutive samples."""
+    """Rate of values sampled at times, from the parabola through three consecutive samples."""
     dt = jnp.diff(times)
     secant = jnp.diff(values) / dt
     inner = (dt[1:] * secant[:-1] + dt[:-1] * secant[1:]) / (dt[1:] + dt[:-1])
@@ -203,6 +228,12 @@ def first_crossing(
     Linear between samples, or the cubic through values and `rates` at both (`slopes` gives rates
     for a smooth quantity). The first time if it starts at or above the level, inf if it never
     reaches it. Differentiable in all arguments; the sample interval is held.
+
+    Args:
+        times: of the samples, increasing [s].
+        values: of the quantity at the times.
+        level: in the unit of the values.
+        rates: derivatives of the values by time.
     """
     reached = values >= level
     j = jnp.argmax(reached)  # first true
@@ -245,7 +276,9 @@ def _hermite_root(cubic, level):
 
 
 def time_of_maximum(times: Float[Array, " k"], values: Float[Array, " k"]) -> Float[Array, ""]:
-    """Time of the largest value: vertex of the parabola through it and its two neighbours.
+    """Time of the largest of values sampled at times.
+
+    The vertex of the parabola through it and its two neighbours.
 
     The sample's own time if it is the first or the last. Differentiable; the samples are held.
     """
@@ -265,7 +298,10 @@ def time_of_maximum(times: Float[Array, " k"], values: Float[Array, " k"]) -> Fl
 
 
 def buckling_time(scene: Scene, run: Run) -> Float[Array, ""]:
-    """Time of the largest torsional energy of a run (section 4.3 of Goyal, Perkins & Lee)."""
+    """Time of the largest torsional energy of a scene's run.
+
+    Section 4.3 of Goyal, Perkins & Lee.
+    """
     torsion = lax.map(lambda s: energy.torsion_energy(scene, s), run.states)
     return time_of_maximum(run.times, torsion)
 
@@ -273,6 +309,9 @@ def buckling_time(scene: Scene, run: Run) -> Float[Array, ""]:
 def apex_orthogonal_time(
     run: Run, axis: Float[Array, "3"], origin: Float[Array, "3"] | None = None
 ) -> Float[Array, ""]:
-    """First time at which the apex tangent is orthogonal to the loading axis; inf if never."""
+    """First time at which the apex tangent is orthogonal to the loading axis; inf if never.
+
+    The axis and the origin of the line are those of `apex`, at every saved state of the run.
+    """
     angle = lax.map(lambda s: apex_angle(s, axis, origin), run.states)
     return first_crossing(run.times, angle, 0.5 * jnp.pi)

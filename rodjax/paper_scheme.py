@@ -109,7 +109,7 @@ def check_scene(scene: Scene) -> None:
 
 
 def fields_of(scene: Scene, state: State) -> Fields:
-    """The fields of a state, its elements' moments and forces interpolated to the nodes."""
+    """The fields of a scene's state, its elements' moments and forces interpolated to the nodes."""
     state = dataclasses.replace(state, settling=None, jerk=None)
     rod, frame = scene.rod, state.quaternion
     kappa = curvature(rod, frame)
@@ -146,7 +146,7 @@ def _to_nodes(rod: Rod, values: Float[Array, "n 3"]) -> Float[Array, "nodes 3"]:
 def paper_step(
     scene: Scene, fields: Fields, stop: Float[Array, ""], method: PaperScheme
 ) -> tuple[Fields, StepInfo]:
-    """Advance the fields to `stop`; a failed step is reported in `StepInfo.result`.
+    """Advance a scene's fields to `stop` by this method; `StepInfo.result` reports a failed step.
 
     No local error is estimated: of `StepInfo` only `result` and `iterations` are set.
     """
@@ -225,6 +225,12 @@ def paper_rollout(
 
     The states of the run are ordinary ones, for measures, energies, topology and plots. A time at
     which a constraint changes must be among `times`; its jolt is left to the scheme's damping.
+
+    Args:
+        scene, state: what is run, and from where.
+        times: ends of the steps, increasing [s].
+        method: default `PaperScheme()`.
+        throw: raise `SimulationError` if a step fails.
 
     Raises:
         ValueError: the scene has what the scheme does not support, or times do not fit.

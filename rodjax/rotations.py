@@ -58,13 +58,13 @@ def _cotangent(angle):
 
 
 def inverse_tangent_coefficient(squared):
-    """c(a) = (1 - (a/2) cot(a/2)) / a^2 as a function of a^2; 1/12 at zero."""
+    """c(a) = (1 - (a/2) cot(a/2)) / a^2 as a function of a squared; 1/12 at zero."""
     closed = lambda a: (1 - 0.5 * a * _cotangent(0.5 * a)) / a**2
     return _blend(squared, _INVERSE[::-1], closed)
 
 
 def inverse_tangent_slope(squared):
-    """c'(a) / a for c of `inverse_tangent_coefficient`; 1/360 at zero."""
+    """c'(a) / a for c of `inverse_tangent_coefficient`, by a squared; 1/360 at zero."""
 
     def closed(a):
         cot = _cotangent(0.5 * a)
@@ -74,12 +74,12 @@ def inverse_tangent_slope(squared):
 
 
 def midframe_coefficient(squared):
-    """b(a) = tan(a/4) / (2 a) as a function of a^2; 1/8 at zero."""
+    """b(a) = tan(a/4) / (2 a) as a function of a squared; 1/8 at zero."""
     return _blend(squared, _TANGENT[::-1], lambda a: jnp.tan(0.25 * a) / (2 * a))
 
 
 def midframe_slope(squared):
-    """b'(a) / a for b of `midframe_coefficient`; 1/192 at zero."""
+    """b'(a) / a for b of `midframe_coefficient`, as a function of a squared; 1/192 at zero."""
 
     def closed(a):
         tangent = jnp.tan(0.25 * a)
@@ -148,7 +148,7 @@ def cross(a: Float[Array, "*b 3"], b: Float[Array, "*b 3"]) -> Float[Array, "*b 
 
 
 def hat(vector: Float[Array, "*b 3"]) -> Float[Array, "*b 3 3"]:
-    """Skew matrix with hat(a) b = a x b."""
+    """Skew matrix of a vector, with hat(a) b = a x b."""
     x, y, z = vector[..., 0], vector[..., 1], vector[..., 2]
     zero = jnp.zeros_like(x)
     rows = [(zero, -z, y), (z, zero, -x), (-y, x, zero)]
@@ -172,7 +172,7 @@ def multiply(p: Float[Array, "*b 4"], q: Float[Array, "*b 4"]) -> Float[Array, "
 
 
 def conjugate(q: Float[Array, "*b 4"]) -> Float[Array, "*b 4"]:
-    """Inverse of a unit quaternion."""
+    """Inverse of a unit quaternion q."""
     return jnp.concatenate([q[..., :1], -q[..., 1:]], -1)
 
 
@@ -200,20 +200,20 @@ def _matrix_tangent(primals, tangents):
 
 
 def tangent_director(q: Float[Array, "*b 4"]) -> Float[Array, "*b 3"]:
-    """Third director a_3, the normal of the cross-section, in inertial components."""
+    """Third director a_3 of a frame q, the normal of the cross-section, in inertial components."""
     w, x, y, z = (q[..., i] for i in range(4))
     return jnp.stack([2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)], -1)
 
 
 def rotate(q: Float[Array, "*b 4"], vector: Float[Array, "*b 3"]) -> Float[Array, "*b 3"]:
-    """Body components to inertial components."""
+    """Body components of a vector to inertial components, by the quaternion q of the body."""
     axis = q[..., 1:]
     twice = 2 * cross(axis, vector)
     return vector + q[..., :1] * twice + cross(axis, twice)
 
 
 def rotate_inverse(q: Float[Array, "*b 4"], vector: Float[Array, "*b 3"]) -> Float[Array, "*b 3"]:
-    """Inertial components to body components."""
+    """Inertial components of a vector to body components, by the quaternion q of the body."""
     return rotate(conjugate(q), vector)
 
 
@@ -243,7 +243,7 @@ def logarithm(q: Float[Array, "*b 4"]) -> Float[Array, "*b 3"]:
 
 
 def tangent(vector: Float[Array, "*b 3"]) -> Float[Array, "*b 3 3"]:
-    """Right Jacobian J: exp(v + dv) = exp(v) exp(J(v) dv) to first order."""
+    """Right Jacobian J at a vector v: exp(v + dv) = exp(v) exp(J(v) dv) to first order."""
     squared = jnp.sum(vector * vector, -1)[..., None, None]
     skew = hat(vector)
     first = _blend(squared, _VERSINE[::-1], lambda a: (1 - jnp.cos(a)) / a**2)
@@ -252,7 +252,7 @@ def tangent(vector: Float[Array, "*b 3"]) -> Float[Array, "*b 3 3"]:
 
 
 def tangent_inverse(vector: Float[Array, "*b 3"]) -> Float[Array, "*b 3 3"]:
-    """Inverse of `tangent`: I + hat(v)/2 + c hat(v)^2."""
+    """Inverse of `tangent` at a vector v: I + hat(v)/2 + c hat(v)^2."""
     squared = jnp.sum(vector * vector, -1)[..., None, None]
     skew = hat(vector)
     return (

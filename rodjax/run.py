@@ -22,6 +22,14 @@ class Run(eqx.Module):
     `states` has a leading axis over the saved states, `infos` over the accepted steps. `control`
     is the step control's memory of an adaptive run (None otherwise): with it, resuming continues
     bit for bit.
+
+    Attributes:
+        states: the `State`s saved, stacked; `run.state(i)`, `run.final`, `run.times` pick of them.
+        infos: a `StepInfo` of stacked numbers, one an accepted step.
+        result: worst `Result` of the run, as a number; 0 is success.
+        rejected: steps that an adaptive run took back.
+        wasted_iterations: Newton iterations of those.
+        control: memory of the step control.
     """
 
     states: State

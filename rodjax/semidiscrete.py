@@ -40,6 +40,11 @@ class Motion(eqx.Module):
     """What the differential equation advances; its derivative has the same form.
 
     `rate` holds v in inertial and omega in body components, as in `State`.
+
+    Attributes:
+        position: nodes in inertial components [m].
+        quaternion: frames of the nodes, scalar first, body to inertial.
+        rate: v and omega [m/s, rad/s].
     """
 
     position: Float[Array, "*k nodes 3"]
@@ -60,7 +65,7 @@ def initial_value(scene: Scene, state: State | None = None) -> Motion:
 
 
 def vector_field(time: Float[Array, ""], motion: Motion, scene: Scene) -> Motion:
-    """Derivative of the motion at a time, in the order of arguments that diffrax passes.
+    """Derivative of a scene's motion at a time, in the order of arguments that diffrax passes.
 
     Constrained directions of an end move as its schedules say, at every time, whatever the rates
     of the motion there are; so a schedule whose rate jumps needs no impulse. Quaternions count
@@ -84,7 +89,7 @@ def vector_field(time: Float[Array, ""], motion: Motion, scene: Scene) -> Motion
 
 
 def internal_force(rod: Rod, motion: Motion) -> Float[Array, "n 3"]:
-    """f of the elements in their own frames [N]."""
+    """f of the elements of a rod in a motion, in their own frames [N]."""
     stretch = strains(rod, motion.position, rotations.normalize(motion.quaternion)).stretch
     return _force(rod, stretch)
 

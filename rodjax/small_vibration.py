@@ -22,6 +22,14 @@ class Vibration(NamedTuple):
     its symmetric part was taken, and every omega^2 is real. False: loads without potential; the
     general problem was solved, and omega^2 may be complex. Such a pair of conjugates, which stand
     side by side, is flutter: both have the same frequency and growth rate.
+
+    Attributes:
+        squared, imaginary: real and imaginary parts of omega^2 [1/s^2]; a mode of negative
+            `squared` diverges.
+        modes, imaginary_modes: real and imaginary parts of the displacement, inertial (3), and of
+            the body spin (3) of every node, of unit modal mass.
+        antisymmetry: see `Stability`.
+        symmetric: which problem was solved.
     """
 
     squared: Float[Array, " k"]  # real part of omega^2 [1/s^2], negative for a mode that diverges
@@ -50,7 +58,7 @@ class Vibration(NamedTuple):
 
 
 def vibration(scene: Scene, state: State, count: int = 1) -> Vibration:
-    """The `count` modes of lowest omega^2 about an equilibrium: K x = omega^2 M x.
+    """The `count` modes of lowest omega^2 about an equilibrium state of a scene: K x = omega^2 M x.
 
     K is the tangent on the motions that constraint and ends allow (see `admissible`), M the mass
     of the nodes with rotary inertia, if the rod has it, and added mass. Drag is left out. Where K

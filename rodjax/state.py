@@ -13,6 +13,15 @@ class State(eqx.Module):
     began (None in scenes whose constraints never change). `jerk` is the part of V'' that the
     constraints demand, where a start made the state, and zero after every step: with it the first
     step begins as generalised-alpha needs (None: do without, as a rod without inertia does).
+
+    Attributes:
+        time: [s].
+        position: nodes in inertial components [m].
+        quaternion: frames of the nodes, unit, scalar first, body to inertial.
+        rate: (v1, v2, v3, omega1, omega2, omega3) [m/s, rad/s].
+        acceleration, auxiliary, jerk: rates of those [m/s^2, rad/s^2; m/s^3, rad/s^3].
+        force: (f1, f2, f3) of the elements, f3 along the tangent, tension positive [N].
+        settling: a count of steps.
     """
 
     time: Float[Array, ""]

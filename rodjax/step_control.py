@@ -47,7 +47,13 @@ class StepControl(eqx.Module):
 
 
 class Control(NamedTuple):
-    """Memory of the step control."""
+    """Memory of the step control.
+
+    Attributes:
+        dt: step to try next [s].
+        growth: by what factor it may grow after the next accepted step.
+        max_step, min_step: bounds of the step [s].
+    """
 
     dt: Float[Array, ""]  # step to try next
     growth: Float[Array, ""]  # how much it may grow after the next accepted step

@@ -27,7 +27,20 @@ from rodjax.strains import relative_rotation
 
 
 class StepInfo(NamedTuple):
-    """What a step reports besides the new state."""
+    """What a step reports besides the new state.
+
+    Attributes:
+        result: a `Result` as a number; 0 is success.
+        iterations: of Newton's method.
+        error_position: largest local error of a displacement [m].
+        error_bending: of a rotation of the tangent [rad].
+        error_twisting: of a rotation about it [rad].
+        growth_position: largest displacement of the step [m].
+        growth_bending: largest rotation of a tangent [rad].
+        growth_twisting: largest rotation about one [rad].
+        projection_loss: kinetic energy lost where a constraint began [J].
+        settling: whether the step was damped most, just after a constraint began.
+    """
 
     result: Int[Array, ""]
     iterations: Int[Array, ""]
@@ -75,6 +88,14 @@ def step(
     projected onto it. A failed step is reported in `StepInfo.result`, never raised. So is one that
     strides over the time at which a constraint changes: a step must end exactly there (`rollout`
     sees to rounding).
+
+    Args:
+        scene, state: what moves, and from where.
+        stop: end of the step [s].
+        method: default `GeneralizedAlpha()`.
+
+    Returns:
+        The new state, and what is to be told of the step.
     """
     method = GeneralizedAlpha() if method is None else method
     state = prepare(scene, state)

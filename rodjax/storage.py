@@ -48,7 +48,14 @@ class StorageError(ValueError):
 
 
 class Stored(eqx.Module):
-    """What a file holds; see `save`."""
+    """What a file holds; see `save`.
+
+    Attributes:
+        scene, run: as they were saved.
+        method, control, measures, schedule: what `save` was given beside them, else None.
+        units: names of the units of the scene.
+        version: of rodjax, when the file was written.
+    """
 
     scene: Scene
     run: Run
@@ -105,6 +112,8 @@ def save(
     """Write a run, and all that is needed to continue it, to an HDF5 file.
 
     Args:
+        path: of the file.
+        scene, run: what is kept.
         method, control: those the run was made with.
         measures: anything measured, by name: arrays over the saved times, ledgers, numbers.
         measure_units: units of those of them that are plain arrays, by name.
@@ -147,6 +156,7 @@ def load(
     """Read a file written by `save`; the objects are equal to those written, bit for bit.
 
     Args:
+        path: of the file.
         classes: your own classes (laws, loads, ends, schedules) that the scene contains.
         functions: Python functions of the scene by their place in it, for example
             `{"scene.loads[0].function": my_load}`.
@@ -188,7 +198,7 @@ def _version() -> str:
 
 @contextlib.contextmanager
 def replacing(path: Path) -> Iterator[h5py.File]:
-    """A new HDF5 file that takes the place of an earlier one only when complete on the disk."""
+    """A new HDF5 file that takes the place of that at `path` only when complete on the disk."""
     path.parent.mkdir(parents=True, exist_ok=True)
     temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
     try:

@@ -149,8 +149,9 @@ def linking_number(
     only when these frames turn or when a strand passes through another (Fuller 1971, White 1969).
     For infinite extensions this holds to round-off at any number of nodes.
 
-    Arguments as in `twist` and `writhe`; without an end frame the extension at that end follows the
-    first or last segment. Returns the linking number [turns].
+    Arguments (positions, element_frames, and so on) as in `twist` and `writhe`; without an end
+    frame the extension at that end follows the first or last segment. Returns the linking
+    number [turns].
     """
     coiling = writhe(
         positions,

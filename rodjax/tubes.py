@@ -47,7 +47,7 @@ _UPWARDS = {0: (2, 1), 1: (0, 2), 2: (0, 1)}
 
 
 def facing(positions: Sequence[Float[Values, "nodes 3"]]) -> View:
-    """The view along an inertial axis that shows most of a rod's shapes.
+    """The view along an inertial axis that shows most of a rod's shapes, given as nodes' positions.
 
     The axis along which they extend farthest lies along the page, the end s = 0 of the first shape
     on the right; the wider of the other two points up, and of equals e1, for a rod along e1

@@ -11,6 +11,9 @@ class Units(NamedTuple):
     """Names of the base units of a scene, SI by default.
 
     For nanometres and piconewtons: `Units("nm", "s", "pN s^2/nm", "pN")`.
+
+    Attributes:
+        length, time, mass, force: names of these units; energy is force times length.
     """
 
     length: str = "m"
@@ -155,7 +158,9 @@ _TEMPLATES = {
 
 
 def unit_of(owner: str, field: str, units: Units, of: str | None = None) -> str | None:
-    """Unit of a field of a class, or None if it has none or is not known.
+    """Unit of a field of the class named owner, or None if it has none or is not known.
+
+    `units` are those of the scene.
 
     `of` is the unit of the field that holds the object.
     """

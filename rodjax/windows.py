@@ -21,7 +21,12 @@ from rodjax.state import State
 
 
 class Windows(eqx.Module):
-    """Where windows begin, and the ends of their steps."""
+    """Where windows begin, and the ends of their steps.
+
+    Attributes:
+        starts: a `State` of each, stacked along the leading axis.
+        times: ends of the steps of each [s].
+    """
 
     starts: State  # stacked along the leading axis
     times: Float[Array, "windows k"]
@@ -45,7 +50,9 @@ def cut(run: Run, count: int) -> Windows:
 
 
 def roll(scene: Scene, windows: Windows, method: GeneralizedAlpha | None = None) -> Run:
-    """All windows, one after the other; every leaf of the run has them along its leading axis.
+    """All windows of a scene by one method, one after the other.
+
+    Every leaf of the run has them along its leading axis.
 
     Differentiable as `rollout` is, in the starts too. A window that fails repeats its last good
     state and says so in `result`; the others go on.
@@ -55,7 +62,7 @@ def roll(scene: Scene, windows: Windows, method: GeneralizedAlpha | None = None)
 
 
 def defects(windows: Windows, run: Run) -> Float[Array, "gaps nodes 12"]:
-    """By how much each window's end misses the next one's start.
+    """By how much the end of each of the windows in a run misses the next one's start.
 
     Columns: position [m], rotation vector in the body frame [rad], velocity [m/s] and angular
     velocity [rad/s]; weigh them by what they are allowed to be off.

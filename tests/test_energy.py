@@ -42,7 +42,7 @@ def state_of(a_rod, position=None, quaternion=None, force=None):
 def twisted(a_rod, turns):
     """A straight rod twisted uniformly, the end s = 0 by -turns."""
     angle = 2 * jnp.pi * turns * (a_rod.arc_length / a_rod.arc_length[-1] - 1)
-    spin = rotations.exponential(angle[:, None] * AXIS)
+    spin = rotations.exponential(angle[:, None] * AXIS[None])
     return state_of(a_rod, quaternion=rotations.multiply(a_rod.quaternion, spin))
 
 
@@ -97,7 +97,7 @@ def test_kinetic_and_gravity_energy_of_rigid_motion():
     moving = eqx.tree_at(lambda s: s.rate, state, state.rate.at[:, :3].set(velocity))
     expected = 0.5 * 2.0 * 0.25 + 0.5 * (2.0 * 1.5 * 8e-3 * 2.0) * 0.09
     assert energy.kinetic_energy(scene, moving) == pytest.approx(expected, rel=1e-12)
-    raised = eqx.tree_at(lambda s: s.position, state, state.position + 0.7 * AXIS)
+    raised = eqx.tree_at(lambda s: s.position, state, state.position + 0.7 * AXIS[None])
     gain = energy.gravity_energy(scene, raised) - energy.gravity_energy(scene, state)
     assert gain == pytest.approx(2.0 * (1 - 10.0 * 8e-3) * 9.0 * 0.7, rel=1e-12)
 

@@ -40,7 +40,7 @@ def twisted(scene, moment):
     """The straight equilibrium under a torque."""
     rod, state = scene.rod, placing(scene)
     angle = jnp.cumsum(moment / rod.stiffness[:, 2] * rod.length)
-    vectors = jnp.concatenate([jnp.zeros((1,)), angle])[:, None] * jnp.asarray([0.0, 0.0, 1.0])
+    vectors = jnp.concatenate([jnp.zeros((1,)), angle])[:, None] * jnp.asarray([[0.0, 0.0, 1.0]])
     turned = rotations.multiply(state.quaternion, rotations.exponential(vectors))
     return eqx.tree_at(lambda s: s.quaternion, state, turned)
 

@@ -68,10 +68,10 @@ def loss(inputs):
     loads = (MorisonDrag(1.0, *inputs.morison), LinearDrag(*inputs.linear))
     scene = Scene(rod, first, Slider((0.0, 0.0, 1.0)), loads)
     s = rod.arc_length
-    bump = (jnp.sin(jnp.pi * s) ** 2)[:, None] * jnp.concatenate([inputs.velocity, rest[:1]])
+    bump = (jnp.sin(jnp.pi * s) ** 2)[:, None] * jnp.concatenate([inputs.velocity, rest[:1]])[None]
     state = start(scene, velocity=bump)
     method = GeneralizedAlpha(inputs.spectral_radius, tolerance=1e-13)
-    times = 0.02 * (1.0 + jnp.arange(STEPS))
+    times = 0.02 * jnp.arange(1.0, STEPS + 1)
     run = rollout(scene, state, times, method, save_every=5, throw=False)
     last = run.final
     weight = jnp.cos(3 * s)[:, None]

@@ -1,0 +1,144 @@
+"""`help` of every public name tells what each of its fields and parameters means."""
+
+import dataclasses
+import enum
+import inspect
+import re
+
+import pytest
+
+import rodjax as rx
+from rodjax.results import MESSAGES
+
+MODULES = [name for name in rx.__all__ if inspect.ismodule(getattr(rx, name))]
+
+
+def _of_module(name: str) -> dict[str, object]:
+    """Public functions and classes that a public module defines itself."""
+    module = getattr(rx, name)
+    return {
+        f"{name}.{key}": value
+        for key, value in vars(module).items()
+        if not key.startswith("_")
+        and (inspect.isclass(value) or inspect.isfunction(value))
+        and value.__module__ == module.__name__
+    }
+
+
+def _public() -> dict[str, object]:
+    found = {name: getattr(rx, name) for name in rx.__all__ if name not in MODULES}
+    for name in MODULES:
+        found |= _of_module(name)
+    # what public functions return
+    for module, names in {
+        "energy": ["Ledger", "Reactions"],
+        "stepping": ["StepInfo"],
+        "contact_forces": ["ContactReport"],
+        "load_path": ["EquilibriumInfo"],
+        "linear_stability": ["Stability"],
+        "small_vibration": ["Vibration"],
+        "descent": ["Minimum"],
+        "step_control": ["Control"],
+        "tubes": ["View", "facing"],
+    }.items():
+        of = __import__(f"rodjax.{module}", fromlist=names)
+        found |= {f"{module}.{key}": getattr(of, key) for key in names}
+    return found
+
+
+PUBLIC = _public()
+
+
+def _parts(thing) -> list[str]:
+    """Names of the fields of a class, of the parameters of a function."""
+    if inspect.isclass(thing):
+        if issubclass(thing, enum.Enum | BaseException):
+            return []
+        if dataclasses.is_dataclass(thing):
+            return [field.name for field in dataclasses.fields(thing)]
+        return list(getattr(thing, "_fields", []))
+    return [name for name in inspect.signature(thing).parameters if not name.startswith("_")]
+
+
+def _unsaid(thing) -> list[str]:
+    doc = inspect.getdoc(thing) or ""
+    return [name for name in _parts(thing) if not re.search(rf"\b{name}\b", doc)]
+
+
+@pytest.mark.parametrize("name", sorted(PUBLIC))
+def test_every_field_and_parameter_is_told(name):
+    assert inspect.getdoc(PUBLIC[name])
+    assert [part for part in _unsaid(PUBLIC[name]) if f"{name}: {part}" not in MISSING] == []
+
+
+@pytest.mark.parametrize("name", sorted(PUBLIC))
+def test_public_methods_are_told(name):
+    thing = PUBLIC[name]
+    if not inspect.isclass(thing) or issubclass(thing, enum.Enum | BaseException):
+        return
+    own = [key for key in vars(thing) if not key.startswith("_") and key not in _parts(thing)]
+    bare = [key for key in own if not inspect.getdoc(getattr(thing, key))]
+    assert [key for key in bare if f"{name}: {key}" not in MISSING] == []
+
+
+def test_every_result_has_its_meaning_and_mend():
+    assert set(MESSAGES) == set(rx.Result)
+    assert all(len(MESSAGES[result]) > 20 for result in rx.Result)
+
+
+def test_a_field_that_is_not_told_is_found():
+    class Told(rx.State):
+        """Has `time` and position alone."""
+
+    assert _unsaid(Told) == [name for name in _parts(rx.State) if name not in ("time", "position")]
+    assert _unsaid(lambda scene, k: None) == ["scene", "k"]
+
+
+# what is still to be told; it only shrinks
+MISSING: set[str] = {
+    "Fit: parameters",
+    "Fit: covariance",
+    "Fit: names",
+    "Fit: labels",
+    "Fit: at_bound",
+    "Fit: chi_squared",
+    "Fit: freedom",
+    "Fit: steps",
+    "Fit: evaluations",
+    "Fit: history",
+    "Fit: result",
+    "Free: displacement",
+    "Free: rotation",
+    "Pinned: rotation",
+    "Rod: position",
+    "Rod: quaternion",
+    "Rod: length",
+    "Rod: stiffness",
+    "Rod: natural_curvature",
+    "Section: stiffness",
+    "Section: mass",
+    "Section: rotary_inertia",
+    "Section: compliance",
+    "Section: diameter",
+    "Section: area",
+    "circular_section: youngs_modulus",
+    "circular_section: shear_modulus",
+    "curved_rod: elements",
+    "curved_rod: section",
+    "curved_rod: jumps",
+    "descent.Minimum: steps",
+    "descent.Minimum: evaluations",
+    "descent.Minimum: history",
+    "descent.Minimum: result",
+    "several_starts: predict",
+    "several_starts: observations",
+    "several_starts: bounds",
+    "several_starts: max_steps",
+    "several_starts: tolerance",
+    "several_starts: threshold",
+    "several_starts: progress",
+    "straight_rod: length",
+    "straight_rod: elements",
+    "straight_rod: section",
+    "Turn: until",
+}
