@@ -100,9 +100,9 @@ def adaptive_rollout(
     rejected = wasted = accepted = 0
     current, code, done = state, Result.SUCCESS, False
     while not done:
-        loss = None
+        loss, held = None, Result.SUCCESS
         if scene.switch_times and bool(switching(scene, current)):
-            current, loss = begin_constraint(scene, current, compiled_restart)
+            current, loss, held = begin_constraint(scene, current, compiled_restart)
         out = _adaptive_chunk(scene, current, memory, end, method, tolerances, size)
         count = int(out.accepted)
         passed = count > 0 and passages.passed_unseen(scene, current, out.state)
@@ -122,6 +122,8 @@ def adaptive_rollout(
         code, done = Result(int(out.result)), bool(out.done)
         if passed:
             code, done = Result.STRAND_PASSAGE, True
+        if int(held) != Result.SUCCESS:
+            code, done = Result(int(held)), True
         if not done and accepted >= max_steps:
             code, done = Result.MAX_STEPS, True
         parts.append(Run(states, infos, as_int(code), as_int(rejected), as_int(wasted), memory))

@@ -7,13 +7,14 @@ that begins during a run, is first order or fails without them.
 import dataclasses
 
 import equinox as eqx
+import jax
 import jax.core
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
 from jaxtyping import Array, Float
 
-from rodjax import balance, contact_forces, ends, inertia, newton, rotations
+from rodjax import balance, contact_forces, ends, inertia, newton, rotations, start_checks
 from rodjax.balance import Scales
 from rodjax.block_tridiagonal import BlockTridiagonal
 from rodjax.compilation import compiled
@@ -46,7 +47,8 @@ def start(
     Velocities that disagree with constraints and ends are projected (least kinetic energy).
 
     Raises:
-        ValueError: a shape is wrong, a value not finite, or the rod is stretched.
+        ValueError: a shape is wrong, a value not finite or too small for the rod's precision, the
+            rod is stretched, its ends hold it twice in some direction, or nothing resists its spin.
     """
     rod = scene.rod
     dtype = rod.position.dtype
@@ -70,6 +72,7 @@ def start(
         turned = jnp.sum(arrays["quaternion"][1:] * arrays["quaternion"][:-1], 1) < 0
         sign = jnp.cumprod(jnp.where(turned, -1.0, 1.0)).astype(dtype)
         arrays["quaternion"] = arrays["quaternion"].at[1:].multiply(sign[:, None])
+    start_checks.check_single_precision(scene)
     state = State(
         jnp.asarray(time, dtype),
         arrays["position"],
@@ -79,6 +82,8 @@ def start(
         jnp.zeros((nodes, 6), dtype),
         jnp.zeros((rod.elements, 3), dtype),
     )
+    start_checks.check_held_once(scene, state)
+    start_checks.check_spin(scene, state)
     new, _, gap = compiled_restart(scene, state)
     tolerance = 1e3 * float(jnp.finfo(dtype).eps) * nodes
     # negated, so that a frame of zero length (not a number here) is an error too
@@ -87,6 +92,9 @@ def start(
             f"position: stretched or sheared by {float(gap):.2g} at most, but the rod is"
             " inextensible: place nodes at rest length along the element frames"
         )
+    if any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(new)):
+        twice = start_checks.held_twice(scene, new)
+        return dataclasses.replace(new, rate=jnp.where(twice, jnp.nan, new.rate))
     _check_start(new)
     return new
 
@@ -97,9 +105,8 @@ def _check_start(state: State) -> None:
         value = getattr(state, name)
         if not isinstance(value, jax.core.Tracer) and not np.all(np.isfinite(value)):
             raise ValueError(
-                f"first_end, last_end: no unique {name} of the start; the ends hold the rod twice"
-                " in some direction (a straight inextensible rod between two clamps): let one"
-                " slide, or give the rod compliance"
+                f"first_end, last_end: no unique {name} of the start; ends, mass and loads leave"
+                " some motion or force of the rod undetermined"
             )
 
 

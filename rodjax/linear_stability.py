@@ -2,6 +2,8 @@
 
 from typing import NamedTuple
 
+import equinox as eqx
+import jax
 import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool, Float
@@ -82,7 +84,8 @@ def _stability(scene, state, count):
     motions = admissible(scene, state)
     unit = jnp.full((), 10.0, state.position.dtype)
     found = lowest(motions.stiffness, jnp.diag(motions.norm), motions.ends, unit, count)
-    fixed = lax.stop_gradient((scene, state, motions))
+    constant = lambda leaf: lax.stop_gradient(leaf) if eqx.is_array(leaf) else leaf
+    fixed = jax.tree.map(constant, (scene, state, motions))
     lowest_is_positive = lambda: found.values[0].real > 0
     stable = lax.cond(found.symmetric, lowest_is_positive, lambda: ~_grows(*fixed))
     modes = fixed[-1].motion(scene, found.vectors)

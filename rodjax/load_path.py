@@ -21,6 +21,7 @@ from rodjax.loads import DistributedLoad
 from rodjax.results import Result
 from rodjax.rod import Number
 from rodjax.scene import Scene, projectors
+from rodjax.start_checks import check_held_once
 from rodjax.state import State
 from rodjax.statics import Ramp, StaticEquations, at_rest, static_balance
 
@@ -108,8 +109,9 @@ def equilibrium(
     Statics cannot tell whether the equilibrium is stable: see `stability`.
 
     Raises:
-        ValueError: the ends leave the rod free to move, a schedule or a constraint's time does
-            not fit, a value is not finite (checked outside traced code).
+        ValueError: the ends leave the rod free to move, or hold it twice in some direction, a
+            schedule or a constraint's time does not fit, a value is not finite (checked outside
+            traced code).
         SimulationError: the path ended early, as it does where the equilibrium becomes critical.
     """
     dtype = state.position.dtype
@@ -132,6 +134,7 @@ def equilibrium(
         )
     _check_path(scene, state, stop)
     check_held(scene, state)
+    check_held_once(scene, state)
     as_array = lambda value: jnp.asarray(value, dtype)
     new, info = _equilibrium(
         scene,

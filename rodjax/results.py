@@ -33,6 +33,7 @@ class Result(enum.IntEnum):
         return format(int(self), spec) if spec else str(self)
 
     DRIVE_MISSED = 13  # only of runs in which nothing failed
+    HELD_TWICE = 14
 
 
 MESSAGES = {
@@ -49,6 +50,11 @@ MESSAGES = {
     Result.CONTACT_OVERCOME: (
         "strands were pressed closer to each other than the contact law can hold them apart; use a"
         " stronger law, for solids `Contact.solid` with the force expected"
+    ),
+    Result.HELD_TWICE: (
+        "a constraint began that holds the rod twice in some direction, so that its force is not"
+        " determined (a straight inextensible rod whose ends can no longer move along it): let one"
+        " end slide on, give the rod axial compliance, or begin the hold when the rod is bent"
     ),
     Result.INTERRUPTED: "stopped by the user; what was computed until then is kept",
     Result.DRIVE_MISSED: (

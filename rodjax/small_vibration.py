@@ -12,6 +12,7 @@ from rodjax.eigenvalues import lowest
 from rodjax.linear_stability import check_count
 from rodjax.load_path import check_held
 from rodjax.scene import Scene
+from rodjax.start_checks import check_single_precision
 from rodjax.state import State
 
 
@@ -70,12 +71,14 @@ def vibration(scene: Scene, state: State, count: int = 1) -> Vibration:
     round-off of omega^2 as n^2, meant for up to a few hundred elements.
 
     Raises:
-        ValueError: the rod has no mass, the ends leave it free to move, or `count` does not fit.
+        ValueError: the rod has no mass, its rotary inertia is too small for its precision, the ends
+            leave it free to move, or `count` does not fit.
     """
     if scene.rod.mass is None:
         raise ValueError("mass: a rod with mass=None does not vibrate; give its section a mass")
     check_held(scene, state)
     check_count(scene, count)
+    check_single_precision(scene, moving=False)
     return _vibration(scene, state, count)
 
 

@@ -19,8 +19,9 @@ from rodjax.generalized_alpha import (
     local_error,
     opening,
 )
-from rodjax.results import Result, join
+from rodjax.results import Result, as_code, join
 from rodjax.scene import Scene
+from rodjax.start_checks import held_twice
 from rodjax.state import State
 from rodjax.step_equations import StepEquations
 from rodjax.strains import relative_rotation
@@ -102,15 +103,15 @@ def step(
     stop = jnp.asarray(stop, state.time.dtype)
     if not scene.switch_times:
         return advance_to(scene, state, stop, method)
-    state, loss = only_where(
+    state, loss, held = only_where(
         switching(scene, state),
         lambda s: begin_constraint(scene, s, project),
-        lambda s: (s, jnp.zeros_like(s.time)),
+        lambda s: (s, jnp.zeros_like(s.time), as_code(Result.SUCCESS)),
         state,
     )
     missed = jnp.any(jnp.stack([(state.time < t) & (t < stop) for t in scene.switch_times]))
     state, info = advance_to(scene, state, stop, method)
-    code = join(info.result, jnp.where(missed, Result.SWITCH_MISSED, Result.SUCCESS))
+    code = join(info.result, jnp.where(missed, Result.SWITCH_MISSED, Result.SUCCESS), held)
     return state, info._replace(projection_loss=loss, result=code)
 
 
@@ -119,23 +120,28 @@ def switching(scene: Scene, state: State) -> Bool[Array, ""]:
     return jnp.any(jnp.stack([t == state.time for t in scene.switch_times]))
 
 
-def begin_constraint(scene: Scene, state: State, project) -> tuple[State, Float[Array, ""]]:
-    """The state with velocities consistent with a constraint that begins, and the loss [J].
+def begin_constraint(
+    scene: Scene, state: State, project
+) -> tuple[State, Float[Array, ""], Int[Array, ""]]:
+    """The state with velocities consistent with a constraint that begins, the loss [J], and a code
+    that tells whether the rod is now held twice (its velocities are then not a number).
 
     Its first steps are damped most, which makes them independent of the accelerations before:
     those are zeroed, since the jolt's own are of modes that no step resolves.
     """
     moving, loss = project(scene, dataclasses.replace(state, settling=None, jerk=None))[:2]
     zero = jnp.zeros_like(state.rate)
+    twice = held_twice(scene, state)
     new = dataclasses.replace(
         moving,
+        rate=jnp.where(twice, jnp.nan, moving.rate),
         acceleration=zero,
         auxiliary=zero,
         force=state.force,
         settling=jnp.asarray(SETTLING_STEPS, jnp.int32),
         jerk=None if state.jerk is None else zero,
     )
-    return new, loss
+    return new, loss, jnp.where(twice, as_code(Result.HELD_TWICE), as_code(Result.SUCCESS))
 
 
 def advance_to(

@@ -58,7 +58,7 @@ FAST = {
     "both ends": shaft(8.0, first_end=Clamped(rotation=turned(-8.0))),
     "the whole rod": shaft(0.0, first_end=Clamped(rotation=turned(8.0)), last_end=Free()),
     "across": shaft(0.0, first_end=Clamped(rotation=turned(8.0, (1.0, 0, 0))), last_end=Free()),
-    "after a switch": shaft(0.0, last_end=Switched(Free(), Clamped(), 0.5, rotation=turned(8.0))),
+    "after a switch": shaft(0.0, last_end=Switched(Free(), Slider(UP), 0.5, rotation=turned(8.0))),
 }
 
 
