@@ -16,6 +16,7 @@ import importlib
 from typing import TYPE_CHECKING
 
 from rodjax.adaptive import adaptive_rollout as adaptive_rollout
+from rodjax.bounds import Fixed as Fixed
 from rodjax.bounds import Interval as Interval
 from rodjax.bounds import Positive as Positive
 from rodjax.bounds import Unbounded as Unbounded
@@ -56,9 +57,13 @@ from rodjax.loads import MorisonDrag as MorisonDrag
 from rodjax.loads import PointLoad as PointLoad
 from rodjax.observations import Observations as Observations
 from rodjax.observations import positions_at as positions_at
+from rodjax.priors import LogNormalPrior as LogNormalPrior
+from rodjax.priors import NormalPrior as NormalPrior
 from rodjax.results import ModelWarning as ModelWarning
 from rodjax.results import Result as Result
 from rodjax.results import SimulationError as SimulationError
+from rodjax.robust import Huber as Huber
+from rodjax.robust import SoftL1 as SoftL1
 from rodjax.rod import Rod as Rod
 from rodjax.rod import Section as Section
 from rodjax.rod import circular_section as circular_section
@@ -107,16 +112,20 @@ __all__ = [
     "Fit",
     "FitError",
     "FitResult",
+    "Fixed",
     "Free",
     "Function",
     "GeneralizedAlpha",
     "Gravity",
+    "Huber",
     "Interval",
     "InversePower",
     "LennardJones",
     "LinearDrag",
+    "LogNormalPrior",
     "ModelWarning",
     "MorisonDrag",
+    "NormalPrior",
     "Observations",
     "Penalty",
     "PiecewiseLinear",
@@ -132,6 +141,7 @@ __all__ = [
     "SimulationError",
     "Slider",
     "Smooth",
+    "SoftL1",
     "State",
     "StepControl",
     "Switched",

@@ -13,11 +13,23 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, PyTree
 
-from rodjax.validation import as_float, known
+from rodjax.validation import (
+    as_float,
+    broadcasts,
+    check_numbers,
+    check_positive,
+    check_scalar,
+    known,
+)
 
 
 class AbstractBound(eqx.Module):
     """What values a parameter may take."""
+
+    @property
+    def free(self) -> bool:
+        """Whether the parameter is searched for."""
+        return True
 
     @abc.abstractmethod
     def to_unbounded(self, value: Float[Array, "*d"]) -> Float[Array, "*d"]:
@@ -51,8 +63,8 @@ class Unbounded(AbstractBound):
     scale: Float[Array, ""] = eqx.field(converter=as_float, default=1.0)
 
     def __check_init__(self):
-        if known(self.scale) and not (np.isfinite(self.scale) and np.asarray(self.scale) > 0):
-            raise ValueError(f"scale: must be positive, got {self.scale}")
+        check_scalar(scale=self.scale)
+        check_positive(scale=self.scale)
 
     def to_unbounded(self, value):
         return value / self.scale
@@ -69,6 +81,30 @@ class Unbounded(AbstractBound):
 
     def label(self, name):
         return name if self.scale == 1 else f"{name}/{float(self.scale):.3g}"
+
+
+class Fixed(AbstractBound):
+    """The guess's value: it is no unknown of the fit."""
+
+    @property
+    def free(self):
+        return False
+
+    def to_unbounded(self, value):
+        return value
+
+    def to_bounded(self, unknown):
+        return unknown
+
+    def inside(self, value):
+        return jnp.isfinite(value)
+
+    @property
+    def range(self):
+        return "finite"
+
+    def label(self, name):
+        return name
 
 
 class Positive(AbstractBound):
@@ -102,9 +138,12 @@ class Interval(AbstractBound):
     high: Float[Array, "..."] = eqx.field(converter=as_float)
 
     def __check_init__(self):
+        check_numbers(low=self.low, high=self.high)
         if not (known(self.low) and known(self.high)):
             return
         low, high = np.asarray(self.low), np.asarray(self.high)
+        if not (broadcasts(low.shape, high.shape) or broadcasts(high.shape, low.shape)):
+            raise ValueError(f"low, high: shapes {low.shape} and {high.shape} do not fit")
         if not np.all(np.isfinite(low) & np.isfinite(high) & (low < high)):
             raise ValueError(f"low, high: must be finite and low < high, got {self.range}")
 
@@ -132,54 +171,99 @@ class Unknowns(eqx.Module):
     """The unknowns of a pytree of parameters as one vector; `unknowns_of` makes it."""
 
     bounds: tuple[AbstractBound, ...]  # one for each leaf
-    like: PyTree[Float[Array, "..."]]  # parameters, for their structure and shapes
+    like: PyTree[Float[Array, "..."]]  # parameters, for their structure, shapes and fixed values
 
     def vector(self, parameters: PyTree) -> Float[Array, " p"]:
         """Unknowns of the parameters."""
-        leaves = zip(self.bounds, jax.tree.leaves(parameters), strict=True)
+        leaves = self._free(jax.tree.leaves(parameters))
         return jnp.concatenate([bound.to_unbounded(leaf).ravel() for bound, leaf in leaves])
 
     def parameters(self, vector: Float[Array, " p"]) -> PyTree:
         """Parameters of the unknowns."""
-        like = jax.tree.leaves(self.unflatten(vector))
-        leaves = zip(self.bounds, like, strict=True)
-        leaves = [bound.to_bounded(leaf).astype(leaf.dtype) for bound, leaf in leaves]
-        return jax.tree.unflatten(jax.tree.structure(self.like), leaves)
+        parts = iter(self._parts(vector))
+
+        def one(bound, leaf):
+            return bound.to_bounded(next(parts)).astype(leaf.dtype) if bound.free else leaf
+
+        leaves, structure = jax.tree.flatten(self.like)
+        return structure.unflatten(map(one, self.bounds, leaves))
 
     def unflatten(self, vector: Float[Array, " p"]) -> PyTree:
-        """The vector's numbers in the structure of the parameters."""
+        """The vector's numbers in the structure of the parameters, zeros for what is fixed."""
+        parts = iter(self._parts(vector))
+        one = lambda bound, leaf: next(parts) if bound.free else jnp.zeros_like(leaf)
         leaves, structure = jax.tree.flatten(self.like)
+        return structure.unflatten(map(one, self.bounds, leaves))
+
+    def _free(self, leaves):
+        pairs = zip(self.bounds, leaves, strict=True)
+        return [(bound, leaf) for bound, leaf in pairs if bound.free]
+
+    def _parts(self, vector):
+        """The vector cut up into arrays like the leaves that are not fixed."""
+        leaves = [leaf for _, leaf in self._free(jax.tree.leaves(self.like))]
         parts = jnp.split(vector, np.cumsum([leaf.size for leaf in leaves])[:-1])
         parts = zip(parts, leaves, strict=True)
-        return structure.unflatten([p.reshape(leaf.shape).astype(leaf.dtype) for p, leaf in parts])
+        return [part.reshape(leaf.shape).astype(leaf.dtype) for part, leaf in parts]
 
     def slopes(self, vector: Float[Array, " p"]) -> Float[Array, " p"]:
         """Derivative of each parameter with respect to its unknown."""
         slopes = jax.jvp(self.parameters, (vector,), (jnp.ones_like(vector),))[1]
-        return jnp.concatenate([leaf.ravel() for leaf in jax.tree.leaves(slopes)])
+        leaves = self._free(jax.tree.leaves(slopes))
+        return jnp.concatenate([leaf.ravel() for _, leaf in leaves])
 
     def at_bound(self, vector: Float[Array, " p"]) -> tuple[str, ...]:
         """Names of the parameters that are at the end of their interval."""
-        leaves = zip(self.bounds, jax.tree.leaves(self.unflatten(vector)), strict=True)
-        there = np.concatenate([np.ravel(bound.at_bound(leaf)) for bound, leaf in leaves])
+        free = self._free(jax.tree.leaves(self.like))
+        parts = zip(free, self._parts(vector), strict=True)
+        there = np.concatenate([np.ravel(bound.at_bound(part)) for (bound, _), part in parts])
         return tuple(name for name, near in zip(self.names, there, strict=True) if near)
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Names of the parameters by their place in the pytree, as 'stiffness[2]'."""
-        return tuple(name for names in self._names() for name in names)
+        """Names of the unknown parameters by their place in the pytree, as 'stiffness[2]'."""
+        return tuple(name for _, names in self._free(names_of(self.like)) for name in names)
+
+    @property
+    def fixed(self) -> tuple[str, ...]:
+        """Names of the others."""
+        pairs = zip(self.bounds, names_of(self.like), strict=True)
+        return tuple(name for bound, names in pairs if not bound.free for name in names)
 
     @property
     def labels(self) -> tuple[str, ...]:
         """The unknowns as formulas, as 'log stiffness[2]'."""
-        named = zip(self.bounds, self._names(), strict=True)
+        named = self._free(names_of(self.like))
         return tuple(bound.label(name) for bound, names in named for name in names)
 
-    def _names(self):
-        paths = jax.tree_util.tree_leaves_with_path(self.like)
-        key = lambda path: jax.tree_util.keystr(path, simple=True, separator=".") or "parameter"
-        index = lambda i: "[" + ", ".join(map(str, i)) + "]" if i else ""
-        return [[key(path) + index(i) for i in np.ndindex(leaf.shape)] for path, leaf in paths]
+
+def names_of(tree: PyTree) -> list[list[str]]:
+    """Names of the numbers in every leaf of a pytree by their place, as 'stiffness[2]'."""
+    paths = jax.tree_util.tree_leaves_with_path(tree)
+    key = lambda path: jax.tree_util.keystr(path, simple=True, separator=".") or "parameter"
+    index = lambda i: "[" + ", ".join(map(str, i)) + "]" if i else ""
+    return [[key(path) + index(i) for i in np.ndindex(np.shape(leaf))] for path, leaf in paths]
+
+
+def of_each_leaf(given: PyTree, parameters: PyTree, kind: type, name: str) -> list:
+    """Objects of a kind, or None, for every leaf, given for leaves or for whole branches.
+
+    Raises:
+        ValueError: they do not have the parameters' structure, or are of another kind.
+    """
+    is_one = lambda x: x is None or isinstance(x, kind)
+    try:
+        spread = lambda one, branch: [one] * len(jax.tree.leaves(branch))
+        each = jax.tree.map(spread, given, parameters, is_leaf=is_one)
+    except ValueError as error:
+        raise ValueError(f"{name}: not a prefix of the parameters' pytree: {error}") from None
+    each = jax.tree.leaves(each, is_leaf=is_one)
+    for one in each:
+        if isinstance(one, type) and issubclass(one, kind):
+            raise ValueError(f"{name}: {one.__name__} is a class; give {one.__name__}(...)")
+        if not is_one(one):
+            raise ValueError(f"{name}: expected {name} or None, got {one!r}")
+    return each
 
 
 def unknowns_of(guess: PyTree, bounds: PyTree = None) -> Unknowns:
@@ -193,25 +277,29 @@ def unknowns_of(guess: PyTree, bounds: PyTree = None) -> Unknowns:
     Raises:
         ValueError: the guess is not strictly within the bounds, or does not have their structure.
     """
+    for leaf, names in zip(jax.tree.leaves(guess), names_of(guess), strict=True):
+        kind = getattr(leaf, "dtype", None) or np.asarray(leaf).dtype
+        if not (jnp.issubdtype(kind, jnp.integer) or jnp.issubdtype(kind, jnp.floating)):
+            place = names[0] if names else "an array without elements"
+            raise ValueError(
+                f"guess: must hold real numbers and arrays of them; {place} is {leaf!r}"
+            )
     guess = jax.tree.map(as_float, guess)
-
-    def resolve(bound, branch):
-        return jax.tree.map(lambda leaf: _default(leaf) if bound is None else bound, branch)
-
-    is_bound = lambda x: x is None or isinstance(x, AbstractBound)
-    try:
-        each = jax.tree.map(resolve, bounds, guess, is_leaf=is_bound)
-    except ValueError as error:
-        raise ValueError(f"bounds: not a prefix of the parameters' pytree: {error}") from None
-    each = jax.tree.leaves(each, is_leaf=lambda x: isinstance(x, AbstractBound))
+    each = of_each_leaf(bounds, guess, AbstractBound, "bounds")
     if not each:
         raise ValueError("guess: it holds no parameter")
-    for bound in each:
-        if not isinstance(bound, AbstractBound):
-            raise ValueError(f"bounds: expected bounds or None, got {bound!r}")
+    leaves = jax.tree.leaves(guess)
+    each = [_default(leaf) if one is None else one for one, leaf in zip(each, leaves, strict=True)]
     unknowns = Unknowns(tuple(each), guess)
-    leaves = zip(each, jax.tree.leaves(guess), unknowns._names(), strict=True)
-    for bound, leaf, names in leaves:
+    if not unknowns.names:
+        raise ValueError("bounds: every parameter is fixed; leave one free")
+    for bound, leaf, names in zip(each, leaves, names_of(guess), strict=True):
+        shapes = [np.shape(x) for x in jax.tree.leaves(bound)]
+        if not all(broadcasts(shape, leaf.shape) for shape in shapes):
+            raise ValueError(
+                f"bounds: that of {names[0]} has numbers of shapes {shapes}, which do not broadcast"
+                f" to the parameter's, {leaf.shape}"
+            )
         outside = ~np.ravel(bound.inside(leaf))
         if np.any(outside):
             first = int(np.argmax(outside))

@@ -4,13 +4,14 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import optax
 from jaxtyping import Array, PyTree
 
 from rodjax.bounds import unknowns_of
 from rodjax.compilation import compiled
-from rodjax.fit_results import FitError, FitResult, Progress, reporting
+from rodjax.fit_results import FitError, FitResult, Progress, check_settings, reporting, short
 from rodjax.results import STEP_FAILED
 
 _ADAM = optax.adam(0.05)  # one for all calls, which then share a compiled program
@@ -25,6 +26,12 @@ class Minimum(NamedTuple):
     evaluations: int
     history: tuple[float, ...]  # losses at the guess and after each step
     result: FitResult
+
+    def __repr__(self) -> str:
+        return (
+            f"Minimum({self.result.name}: loss {self.loss:.6g} after {self.steps} steps,"
+            f" {self.evaluations} evaluations; {short(self.parameters)})"
+        )
 
 
 def minimize(
@@ -44,7 +51,9 @@ def minimize(
             or its gradient is not finite, or a step of a rollout fails, is halved, up to eight
             times; other errors are raised. Compiled once, as in `least_squares`.
         optimizer: of optax, for the vector of unknowns; None means `optax.adam(0.05)`, whose
-            first step changes every unknown by 0.05.
+            first step changes every unknown by 0.05. `optax.lbfgs()`, which uses the curvature,
+            takes fewer steps where the loss is smooth; each holds a line search, whose evaluations
+            are not counted. Pass the same object to repeated calls, or all is compiled anew.
         tolerance: converged when the next step changes no unknown by more.
         guess, bounds, max_steps, progress: as in `least_squares`.
 
@@ -52,6 +61,11 @@ def minimize(
         FitError: the loss or its gradient is not finite at the guess.
         ValueError: guess and bounds do not fit.
     """
+    check_settings(max_steps, tolerance, None, progress)
+    if not callable(loss):
+        raise ValueError(f"loss: give a function of the parameters, got {loss!r}")
+    if optimizer is not None and not isinstance(optimizer, optax.GradientTransformation):
+        raise ValueError(f"optimizer: give one of optax, such as optax.lbfgs(), got {optimizer!r}")
     unknowns = unknowns_of(guess, bounds)
     optimizer = _ADAM if optimizer is None else optimizer
     best = held = trial = unknowns.vector(unknowns.like)
@@ -100,6 +114,14 @@ def minimize(
 
 @compiled
 def _descend(loss, unknowns, optimizer, vector, memory):
-    value, gradient = jax.value_and_grad(lambda u: loss(unknowns.parameters(u)))(vector)
-    step, memory = optimizer.update(gradient, memory, vector)
+    def objective(u):
+        value = jnp.asarray(loss(unknowns.parameters(u)))
+        if value.shape != ():
+            raise ValueError(f"loss: must give one number, got shape {value.shape}")
+        return value
+
+    value, gradient = jax.value_and_grad(objective)(vector)
+    # what a line search needs; other optimizers do without
+    more = {"value": value, "grad": gradient, "value_fn": objective}
+    step, memory = optax.with_extra_args_support(optimizer).update(gradient, memory, vector, **more)
     return value, gradient, step, memory

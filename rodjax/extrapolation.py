@@ -15,6 +15,7 @@ import jax
 import jax.numpy as jnp
 
 from rodjax.rod import Number
+from rodjax.validation import check_numbers, check_scalar
 
 Values = TypeVar("Values")
 
@@ -34,13 +35,15 @@ def extrapolate(
     The difference of the result from `fine` estimates the error of `fine`. Differentiable.
 
     Raises:
-        ValueError: shapes differ, or `order` or `ratio` leave nothing to extrapolate.
+        ValueError: shapes or structures differ, or `order` or `ratio` leave nothing to extrapolate.
     """
+    check_scalar(order=order, ratio=ratio)
     if not (ratio > 1 and order > 0):
         raise ValueError(f"ratio, order: must be above 1 and 0, got {ratio} and {order}")
     weight = 1 / (ratio**order - 1)
 
     def one(a, b):
+        a, b = jnp.asarray(a), jnp.asarray(b)
         if jnp.shape(a) != jnp.shape(b):
             raise ValueError(
                 f"coarse, fine: shapes {jnp.shape(a)} and {jnp.shape(b)} differ; take common"
@@ -48,4 +51,8 @@ def extrapolate(
             )
         return b + weight * (b - a)
 
+    if jax.tree.structure(coarse) != jax.tree.structure(fine):
+        raise ValueError("coarse, fine: give the same quantities, as pytrees of one structure")
+    for leaf in jax.tree.leaves((coarse, fine)):
+        check_numbers(**{"coarse, fine": leaf})
     return jax.tree.map(one, coarse, fine)

@@ -7,16 +7,15 @@ loss see `minimize`.
 """
 
 from collections.abc import Callable
-from typing import NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, PyTree
+from jaxtyping import Array, PyTree
 
 from rodjax.bounds import Unknowns, unknowns_of
 from rodjax.compilation import compiled
+from rodjax.fit_problem import Point, Problem, covariance_of, linearize
 from rodjax.fit_results import (
     PART,
     Combination,
@@ -25,11 +24,13 @@ from rodjax.fit_results import (
     FitResult,
     Progress,
     Starts,
+    check_settings,
     reporting,
 )
 from rodjax.marquardt import advance_all, advance_one, begin_all, begin_one
 from rodjax.observations import Observations
 from rodjax.results import STEP_FAILED
+from rodjax.robust import AbstractRobust
 from rodjax.validation import as_float
 
 
@@ -39,6 +40,8 @@ def least_squares(
     observations: Observations,
     *,
     bounds: PyTree = None,
+    priors: PyTree = None,
+    robust: AbstractRobust | None = None,
     max_steps: int = 50,
     tolerance: float = 1e-8,
     threshold: float | None = None,
@@ -53,7 +56,13 @@ def least_squares(
             a callback) is raised. It is compiled once for each function: pass the same to repeated
             fits.
         guess: pytree of numbers and arrays to start from.
-        bounds: see `bounds.unknowns_of`.
+        observations: missing samples (NaN) take no part.
+        bounds: see `bounds.unknowns_of`; `Fixed` takes a parameter out of the fit.
+        priors: what is known of parameters beforehand, see `priors.priors_of`. It counts as data,
+            in chi squared, in the degrees of freedom and in the deviations.
+        robust: a loss for data with outliers, such as `Huber()`; None means least squares. Chi
+            squared is then the sum of this loss, and the covariance that of an M-estimator, from
+            the scatter of the residuals.
         max_steps: largest number of trials.
         tolerance: converged when the whole Gauss-Newton step changes no unknown by more, or the
             cosine between the residuals and what it takes from them is not more.
@@ -65,19 +74,20 @@ def least_squares(
     Raises:
         FitError: fewer data than unknowns; a parameter that does not influence the prediction; a
             prediction or derivative that is not finite at the guess.
-        ValueError: guess, bounds or the prediction's shape do not fit.
+        ValueError: guess, bounds, priors or the prediction's shape do not fit, or priors or a
+            robust loss are to weigh data whose deviation is not stated.
     """
-    problem = _Problem(predict, unknowns_of(guess, bounds), observations)
+    check_settings(max_steps, tolerance, threshold, progress)
+    problem = Problem.of(predict, unknowns_of(guess, bounds), observations, priors, robust)
     start = problem.unknowns.vector(problem.unknowns.like)
     return _fit(problem, start, max_steps, tolerance, threshold, progress)
 
 
 def _fit(problem, start, max_steps, tolerance, threshold, progress) -> Fit:
-    problem.check_size()
     best = trial = _evaluate(problem, start)
     problem.check_start(best)
-    linear, history, trials = _linearize(best, threshold), [best.cost], 0
-    solver, result = begin_one(best.residual, best.jacobian, start), FitResult.CONVERGED
+    linear, history, trials = linearize(problem, best, threshold), [best.cost], 0
+    solver, result = begin_one(*problem.shrunk(*best[1:3]), start), FitResult.CONVERGED
     with reporting(progress, problem.unknowns, max_steps) as report:
         try:
             report(0, best.cost, start)
@@ -85,7 +95,7 @@ def _fit(problem, start, max_steps, tolerance, threshold, progress) -> Fit:
                 if trials == max_steps:
                     result = FitResult.MAX_STEPS
                     break
-                solver, at, move = advance_one(trial.residual, trial.jacobian, solver)
+                solver, at, move = advance_one(*problem.shrunk(*trial[1:3]), solver)
                 idle = len(history) > 3 and history[-4] <= (1 + tolerance) * history[-1]
                 if idle or not move > tolerance:
                     result = FitResult.SETTLED
@@ -93,10 +103,10 @@ def _fit(problem, start, max_steps, tolerance, threshold, progress) -> Fit:
                 try:
                     trial = _evaluate(problem, at)
                 except STEP_FAILED:
-                    trial = _Point(at, jnp.nan * best.residual, best.jacobian, np.inf)
+                    trial = Point(at, jnp.nan * best.residual, best.jacobian, np.inf)
                 trials += 1
                 if trial.cost < best.cost:
-                    best, linear = trial, _linearize(trial, threshold)
+                    best, linear = trial, linearize(problem, trial, threshold)
                     history.append(best.cost)
                 report(trials, best.cost, best.unknowns)
         except KeyboardInterrupt:
@@ -110,6 +120,8 @@ def several_starts(
     observations: Observations,
     *,
     bounds: PyTree = None,
+    priors: PyTree = None,
+    robust: AbstractRobust | None = None,
     max_steps: int = 50,
     tolerance: float = 1e-8,
     threshold: float | None = None,
@@ -122,20 +134,22 @@ def several_starts(
     raised, are those of `least_squares`, except that a start may fail where another does not.
     (Where one fails by a check, which does not say whose, the starts are evaluated one by one.)
     """
-    guesses = jax.tree.map(as_float, guesses)
-    counts = {leaf.shape[:1] for leaf in jax.tree.leaves(guesses)}
+    check_settings(max_steps, tolerance, threshold, progress)
+    counts = {np.shape(leaf)[:1] for leaf in jax.tree.leaves(guesses)}
     if len(counts) != 1 or counts & {(), (0,)}:
         raise ValueError("guesses: every array needs the same number of starts as leading axis")
-    unknowns = unknowns_of(guesses, bounds)
+    unknowns, guesses = unknowns_of(guesses, bounds), jax.tree.map(as_float, guesses)
     unknowns = Unknowns(unknowns.bounds, jax.tree.map(lambda leaf: leaf[0], guesses))
-    problem = _Problem(predict, unknowns, observations)
-    problem.check_size()
+    for bound, leaf in zip(unknowns.bounds, jax.tree.leaves(guesses), strict=True):
+        if not bound.free and np.any(leaf != leaf[0]):
+            raise ValueError("guesses: what is fixed must be the same in all of them")
+    problem = Problem.of(predict, unknowns, observations, priors, robust)
     best = at = jax.vmap(unknowns.vector)(guesses)
     residual, jacobian = _evaluate_all(problem, at)
-    costs = _costs(residual, jacobian)
+    costs = problem.costs(residual, jacobian)
     if not np.any(np.isfinite(costs)):
         raise FitError("guesses: the prediction or its derivative is not finite at any of them")
-    solvers, history, stopped = begin_all(residual, jacobian, at), [costs], False
+    solvers, history, stopped = begin_all(*problem.shrunk(residual, jacobian), at), [costs], False
     with reporting(progress, unknowns, max_steps) as report:
         try:
             for trial in range(max_steps + 1):
@@ -143,9 +157,9 @@ def several_starts(
                 idle = len(history) > 3 and np.all(history[-4] <= 1.001 * costs)
                 if idle or trial == max_steps:
                     break
-                solvers, at, _ = advance_all(residual, jacobian, solvers)
+                solvers, at, _ = advance_all(*problem.shrunk(residual, jacobian), solvers)
                 residual, jacobian = _evaluate_all(problem, at)
-                found = _costs(residual, jacobian)
+                found = problem.costs(residual, jacobian)
                 best = jnp.where((found < costs)[:, None], at, best)
                 costs = np.minimum(found, costs)
                 history.append(costs)
@@ -155,67 +169,6 @@ def several_starts(
     fit = _fit(problem, best[np.argmin(costs)], steps, tolerance, threshold, None)
     fit = fit._replace(result=FitResult.INTERRUPTED) if stopped else fit
     return Starts(fit, costs, jax.vmap(unknowns.parameters)(best))
-
-
-class _Point(NamedTuple):
-    unknowns: Array
-    residual: Array
-    jacobian: Array
-    cost: float  # chi squared; inf unless residual and Jacobian are finite
-
-
-class _Problem(eqx.Module):
-    predict: Callable
-    unknowns: Unknowns
-    observations: Observations
-
-    def residuals(self, vector: Float[Array, " p"]) -> Float[Array, " n"]:
-        """Weighted residuals."""
-        return self.residuals_of(self.unknowns.parameters(vector))
-
-    def residuals_of(self, parameters):
-        return self.observations.residuals(jnp.asarray(self.predict(parameters)))
-
-    def derivatives_alone(self, vector):
-        """Derivatives with respect to one array of parameters at a time.
-
-        What is not finite stays with its cause; with all of them 0 * inf gives NaN for the others.
-        """
-        leaves, structure = jax.tree.flatten(self.unknowns.parameters(vector))
-        instead = lambda j, leaf: structure.unflatten([*leaves[:j], leaf, *leaves[j + 1 :]])
-        one = lambda j: jax.jit(jax.jacfwd(lambda leaf: self.residuals_of(instead(j, leaf))))
-        columns = [one(j)(leaf).reshape(-1, leaf.size) for j, leaf in enumerate(leaves)]
-        return np.concatenate(columns, 1)
-
-    def check_size(self):
-        names, count = self.unknowns.names, self.observations.values.size
-        if count < len(names):
-            raise FitError(
-                f"observations: {count} data cannot determine the {len(names)} unknowns"
-                f" {', '.join(names)}"
-            )
-
-    def check_start(self, point: _Point):
-        """Name the parameter at fault, and the time."""
-        residual, jacobian = np.asarray(point.residual), np.asarray(point.jacobian)
-        names, first = np.array(self.unknowns.names), self.observations.first_time
-        if np.any(bad := ~np.isfinite(residual)):
-            raise FitError(
-                f"guess: the prediction is not finite at time {first(bad):g}; did the simulation"
-                " fail, or end before it?"
-            )
-        if np.any(bad := ~np.isfinite(jacobian)):
-            alone = ~np.isfinite(self.derivatives_alone(point.unknowns))
-            bad = alone if np.any(alone) else bad
-            raise FitError(
-                "guess: the derivative of the prediction with respect to"
-                f" {', '.join(names[bad.any(0)])} is not finite at time {first(bad):g}"
-            )
-        columns = np.linalg.norm(jacobian, axis=0)
-        bad = columns <= np.finfo(columns.dtype).eps * np.max(columns)
-        bad &= ~np.isin(names, self.unknowns.at_bound(point.unknowns))
-        if np.any(bad):
-            raise FitError(f"guess: the prediction does not depend on {', '.join(names[bad])}")
 
 
 def _linearized(problem, vector):
@@ -228,9 +181,9 @@ _linearized_one = compiled(_linearized)
 _linearized_all = compiled(lambda problem, u: jax.vmap(lambda one: _linearized(problem, one))(u))
 
 
-def _evaluate(problem, vector) -> _Point:
+def _evaluate(problem, vector) -> Point:
     residual, jacobian = _linearized_one(problem, vector)
-    return _Point(vector, residual, jacobian, float(_costs(residual[None], jacobian[None])[0]))
+    return Point(vector, residual, jacobian, float(problem.costs(residual, jacobian)))
 
 
 def _evaluate_all(problem, vectors):
@@ -244,57 +197,31 @@ def _evaluate_all(problem, vectors):
         try:
             found.append(_linearized_one(problem, vector))
         except STEP_FAILED:
-            shape = problem.observations.values.size, vector.size
-            found.append((jnp.full(shape[0], jnp.nan), jnp.full(shape, jnp.nan)))
+            size = problem.data.stop + problem.prior_count
+            found.append((jnp.full(size, jnp.nan), jnp.full((size, vector.size), jnp.nan)))
     return tuple(map(jnp.stack, zip(*found, strict=True)))
 
 
-def _costs(residual, jacobian):
-    residual, jacobian = np.asarray(residual, float), np.asarray(jacobian)
-    finite = np.isfinite(residual).all(1) & np.isfinite(jacobian).all((1, 2))
-    with np.errstate(all="ignore"):
-        return np.where(finite, np.sum(residual**2, 1), np.inf)
-
-
-class _Linear(NamedTuple):
-    """The problem linear about a point, in its singular directions."""
-
-    singular: np.ndarray  # (p,), descending
-    directions: np.ndarray  # (p, p), in rows
-    determined: np.ndarray  # (p,)
-    step: np.ndarray  # Gauss-Newton step in the determined directions
-    cosine: float  # between the residuals and what the step takes from them
-
-    def converged(self, tolerance):
-        return np.max(np.abs(self.step)) <= tolerance or self.cosine <= tolerance
-
-
-def _linearize(point: _Point, threshold) -> _Linear:
-    if threshold is None:
-        threshold = max(1e-6, 10 * float(np.sqrt(np.finfo(point.jacobian.dtype).eps)))
-    residual, jacobian = np.asarray(point.residual, float), np.asarray(point.jacobian, float)
-    left, singular, directions = np.linalg.svd(jacobian, full_matrices=False)
-    determined = singular > threshold * singular[0]
-    along = np.where(determined, residual @ left, 0.0)
-    step = -(along / np.where(determined, singular, 1.0)) @ directions
-    cosine = np.linalg.norm(along) / (np.linalg.norm(residual) or 1.0)
-    return _Linear(singular, directions, determined, step, float(cosine))
-
-
 def _report(problem, best, linear, trials, history, result) -> Fit:
-    unknowns, deviation = problem.unknowns, problem.observations.deviation
+    unknowns, observations = problem.unknowns, problem.observations
     known = linear.determined
-    freedom = best.residual.size - int(np.sum(known))
-    noise = best.cost / freedom if freedom else np.nan
+    freedom = problem.count - int(np.sum(known))
     slopes = np.asarray(unknowns.slopes(best.unknowns), float)
-    root = linear.directions[known] * slopes / linear.singular[known, None]
-    covariance = (noise if deviation is None else 1.0) * root.T @ root
+    covariance = covariance_of(problem, best, linear) * slopes * slopes[:, None]
+    if observations.deviation is None:
+        covariance = covariance * (best.cost / freedom if freedom else np.nan)
     free = np.max(np.abs(linear.directions[~known]), 0, initial=0) > PART
     covariance[free, :] = covariance[:, free] = np.nan
     covariance[free, free] = np.inf
     strengths = linear.singular / (linear.singular[0] or 1.0)
     pairs = list(map(Combination, linear.directions, strengths.tolist()))
-    residuals = best.residual.reshape(problem.observations.values.shape)
+    shrunk, leverage = map(np.asarray, problem.shrunk(best.residual, best.jacobian))
+    leverage = leverage[problem.data] @ (linear.directions[known] / linear.singular[known, None]).T
+    pull = best.residual[problem.data]
+    weights = np.ones(pull.shape) if problem.robust is None else problem.robust.weights(pull)
+    shape, here = observations.values.shape, np.asarray(observations.here)
+    deviation = 1.0 if observations.deviation is None else observations.deviation
+    residuals = np.asarray(pull.reshape(shape) * deviation)
     return Fit(
         parameters=unknowns.parameters(best.unknowns),
         deviations=unknowns.unflatten(jnp.asarray(np.sqrt(np.diag(covariance)))),
@@ -302,7 +229,7 @@ def _report(problem, best, linear, trials, history, result) -> Fit:
         names=unknowns.names,
         labels=unknowns.labels,
         at_bound=unknowns.at_bound(best.unknowns),
-        residuals=np.asarray(residuals * (1.0 if deviation is None else deviation)),
+        residuals=np.where(here, residuals, np.nan),
         chi_squared=best.cost,
         freedom=freedom,
         determined=tuple(pairs[: int(np.sum(known))]),
@@ -311,4 +238,8 @@ def _report(problem, best, linear, trials, history, result) -> Fit:
         evaluations=trials + 1,
         history=history,
         result=result,
+        fixed=unknowns.fixed,
+        data_freedom=observations.count - float(np.sum(leverage**2)),
+        prior_chi_squared=float(np.sum(shrunk[problem.data.stop :] ** 2)),
+        weights=np.where(here, np.reshape(weights, shape), 0.0),
     )

@@ -10,6 +10,8 @@ import numpy as np
 from jaxtyping import PyTree
 from tqdm import tqdm
 
+from rodjax.bounds import names_of
+
 Progress = Callable[[int, float, Any], None] | bool | None
 
 
@@ -60,15 +62,19 @@ class Fit(NamedTuple):
     names: tuple[str, ...]  # of the parameters
     labels: tuple[str, ...]  # of the unknowns
     at_bound: tuple[str, ...]  # names of parameters that went to the end of their interval
-    residuals: np.ndarray  # prediction - values
+    residuals: np.ndarray  # prediction - values; NaN where there is no value
     chi_squared: float  # sum of the squares of the residuals, over their deviations if stated
-    freedom: int  # number of data less that of determined combinations
+    freedom: int  # number of data, with those of priors, less that of determined combinations
     determined: tuple[Combination, ...]
     undetermined: tuple[Combination, ...]
     steps: int  # trials that lowered chi squared
     evaluations: int
     history: tuple[float, ...]  # chi squared at the guess and after each step
     result: FitResult
+    fixed: tuple[str, ...]  # names of parameters held at the guess; their deviations are zero
+    data_freedom: float  # of the data alone: their number less what they, not priors, determine
+    prior_chi_squared: float  # the priors' part of chi squared
+    weights: np.ndarray  # of the data: 1 in full, less for outliers (`robust`), 0 if missing
 
     @property
     def reduced(self) -> float:
@@ -78,7 +84,8 @@ class Fit(NamedTuple):
     @property
     def residual_deviation(self) -> float:
         """Standard deviation of the noise, estimated from the residuals."""
-        return float(np.sqrt(np.sum(self.residuals**2) / self.freedom)) if self.freedom else np.nan
+        squares = np.nansum(self.residuals**2)
+        return float(np.sqrt(squares / self.data_freedom)) if self.freedom else np.nan
 
     def combinations(self) -> tuple[tuple[str, ...], tuple[str, ...]]:
         """Of the parameters not determined alone: what is determined, and what is not."""
@@ -91,25 +98,43 @@ class Fit(NamedTuple):
 
     def summary(self) -> str:
         """A table of the parameters, and what the data do not determine."""
-        width = max(map(len, self.names))
+        names = _names(self.parameters)
+        width = max(map(len, names))
+        missing = int(np.sum(np.isnan(self.residuals)))
         lines = [
             f"{MESSAGES[self.result]}: {self.steps} steps, {self.evaluations} evaluations",
             f"chi squared {self.chi_squared:.6g}, degrees of freedom {self.freedom}, deviation of"
             f" the residuals {self.residual_deviation:.3g}",
         ]
-        at_bound = [name in self.at_bound for name in self.names]
+        if missing:
+            lines.append(f"{missing} of {self.residuals.size} samples are missing")
+        for name, value, spread in zip(names, _flat(self.parameters), self._spreads(), strict=True):
+            lines.append(f"  {name:<{width}}  {value:<12.6g}  {spread}")
+        at_bound = np.isin(names, self.at_bound)
         deviations = _flat(self.deviations)
-        rows = zip(self.names, _flat(self.parameters), deviations, at_bound, strict=True)
-        for name, value, deviation, near in rows:
-            spread = "not determined" if np.isinf(deviation) else f"+- {deviation:.2g}"
-            lines.append(f"  {name:<{width}}  {value:<12.6g}  {'at its bound' if near else spread}")
-        if np.any(np.isinf(deviations) & ~np.array(at_bound)):
+        if np.any(np.isinf(deviations) & ~at_bound):
             known, unknown = self.combinations()
             say = f"the data determine {', '.join(known)} but not" if known else "not determined:"
             lines.append(f"{say} {', '.join(unknown)}")
         return "\n".join(lines)
 
+    def _spreads(self) -> list[str]:
+        """How well each number among the parameters is known."""
+        special = dict.fromkeys(self.at_bound, "at its bound") | dict.fromkeys(self.fixed, "fixed")
+        say = lambda x: "not determined" if np.isinf(x) else f"+- {x:.2g}"
+        pairs = zip(_names(self.parameters), _flat(self.deviations), strict=True)
+        return [special.get(name) or say(deviation) for name, deviation in pairs]
+
     __str__ = summary
+
+    def __repr__(self) -> str:
+        names, values = _names(self.parameters), _flat(self.parameters)
+        parts = zip(names, values, self._spreads(), strict=True)
+        say = _few([f"{name} = {value:.6g} {spread}" for name, value, spread in parts])
+        return (
+            f"Fit({self.result.name}: {say}; chi squared {self.chi_squared:.4g}, degrees of freedom"
+            f" {self.freedom})"
+        )
 
 
 PART = 1e-3  # least weight with which an unknown takes part in a combination
@@ -121,6 +146,25 @@ class Starts(NamedTuple):
     best: Fit
     costs: np.ndarray  # chi squared reached from each start, inf where the prediction failed
     parameters: PyTree  # reached from each start, along the leading axis
+
+    def __repr__(self) -> str:
+        costs = ", ".join("failed" if np.isinf(cost) else f"{cost:.4g}" for cost in self.costs[:8])
+        more = ", ..." if len(self.costs) > 8 else ""
+        return f"Starts(chi squared {costs}{more} of {len(self.costs)} starts; best={self.best!r})"
+
+
+def short(tree: PyTree) -> str:
+    """The first numbers of a pytree by name, in a line."""
+    pairs = zip(_names(tree), _flat(tree), strict=True)
+    return _few([f"{name} = {value:.6g}" for name, value in pairs])
+
+
+def _few(parts):
+    return ", ".join(parts[:6]) + (f", ... ({len(parts)} in all)" if len(parts) > 6 else "")
+
+
+def _names(tree):
+    return [name for names in names_of(tree) for name in names]
 
 
 def _flat(tree):
@@ -166,3 +210,17 @@ def reporting(progress: Progress, unknowns, total):
                 bar.update(trial - bar.n)
 
             yield report
+
+
+def check_settings(max_steps, tolerance, threshold=None, progress=None) -> None:
+    """Raise ValueError unless the settings of a fit make sense."""
+    if not isinstance(max_steps, int | np.integer) or isinstance(max_steps, bool) or max_steps < 0:
+        raise ValueError(f"max_steps: must be a whole number, 0 or more, got {max_steps!r}")
+    for name, value in (("tolerance", tolerance), ("threshold", threshold)):
+        if name == "threshold" and value is None:
+            continue
+        number = np.isscalar(value) or np.shape(value) == ()
+        if not number or isinstance(value, str | bool) or not 0 <= float(value) < 1:
+            raise ValueError(f"{name}: must be a number from 0 to less than 1, got {value!r}")
+    if not (callable(progress) or progress is None or isinstance(progress, bool)):
+        raise ValueError(f"progress: give True, False or a function, got {progress!r}")

@@ -102,6 +102,14 @@ def given(**values) -> dict[str, Any]:
     return {name: value for name, value in values.items() if value is not None}
 
 
+def broadcasts(shape: tuple[int, ...], to: tuple[int, ...]) -> bool:
+    """Whether an array of one shape broadcasts to another."""
+    try:
+        return np.broadcast_shapes(shape, to) == tuple(to)
+    except ValueError:
+        return False
+
+
 def known(value) -> bool:
     """Whether a field holds numbers (not a tracer, nor what only has a shape)."""
     held = isinstance(value, jax.Array | np.ndarray | np.generic)

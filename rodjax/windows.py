@@ -9,6 +9,7 @@ window's end misses the next one's start, go to zero.
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import lax
 from jaxtyping import Array, Float
 
@@ -18,6 +19,7 @@ from rodjax.generalized_alpha import GeneralizedAlpha
 from rodjax.run import Run
 from rodjax.scene import Scene
 from rodjax.state import State
+from rodjax.validation import as_integer, check_instance, check_integer, known
 
 
 class Windows(eqx.Module):
@@ -39,10 +41,17 @@ def cut(run: Run, count: int) -> Windows:
         run: motion near the observed one: of a guess, or of the fit so far.
 
     Raises:
-        ValueError: the steps cannot be shared out equally.
+        ValueError: the steps cannot be shared out equally, are not all saved, or failed.
     """
+    check_instance(Run, "give a run, with every step saved", run=run)
+    count = as_integer(count)
+    check_integer(1, count=count)
     steps = run.times.shape[0] - 1
-    if count < 1 or steps % count:
+    if run.infos.iterations.shape[0] != steps:
+        raise ValueError("run: every step must be saved; roll it out with save_every=1")
+    if known(run.times) and not np.all(np.diff(run.times) > 0):
+        raise ValueError("run: its states repeat after a failure; cut a run of the steps before")
+    if steps % count:
         raise ValueError(f"count: the {steps} steps of the run do not make {count} equal windows")
     length = steps // count
     starts = jax.tree.map(lambda leaf: leaf[:-1:length], run.states)
@@ -57,6 +66,8 @@ def roll(scene: Scene, windows: Windows, method: GeneralizedAlpha | None = None)
     Differentiable as `rollout` is, in the starts too. A window that fails repeats its last good
     state and says so in `result`; the others go on.
     """
+    check_instance(Scene, "give a scene", scene=scene)
+    check_instance(Windows, "give windows, as `cut` makes them", windows=windows)
     one = lambda window: rollout(scene, window.starts, window.times, method, throw=False)
     return lax.map(one, windows)
 

@@ -65,3 +65,14 @@ def test_what_does_not_match_is_refused():
         extrapolate(jnp.zeros(3), jnp.zeros(5))
     with pytest.raises(ValueError, match="^ratio, order"):
         extrapolate(jnp.zeros(3), jnp.zeros(3), ratio=1.0)
+    bare = getattr(extrapolate, "__wrapped__", extrapolate)  # without the tests' checks of types
+    for settings in ({"order": "2"}, {"ratio": None}, {"order": jnp.ones(2)}, {"ratio": 2j}):
+        with pytest.raises(ValueError, match="^(order|ratio): must be one real number"):
+            bare(jnp.zeros(3), jnp.zeros(3), **settings)
+    for settings in ({"order": np.nan}, {"order": -1.0}, {"ratio": 0.5}):
+        with pytest.raises(ValueError, match="^ratio, order: must be above"):
+            bare(jnp.zeros(3), jnp.zeros(3), **settings)
+    with pytest.raises(ValueError, match="^coarse, fine: give the same quantities"):
+        extrapolate({"a": 1.0}, {"b": 1.0})
+    with pytest.raises(ValueError, match="^coarse, fine: must be a real number"):
+        extrapolate({"a": "x"}, {"a": "y"})

@@ -386,7 +386,7 @@ def test_faults_of_a_callback_are_raised():
     for run in (
         lambda: least_squares(predict, guess, EXACT),
         lambda: several_starts(predict, starts, EXACT),
-        lambda: minimize(loss, guess),
+        lambda: minimize(loss, {"a": 2.0, "k": 0.5}, optimizer=optax.adam(2.0)),
     ):
         with pytest.raises((RuntimeError, ValueError)):  # whose message may lack the cause
             run()

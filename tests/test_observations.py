@@ -132,7 +132,7 @@ def test_residuals():
         ([0.0, 0.0], [1.0, 2.0], None, "times: must be finite and strictly increasing"),
         ([0.0, np.nan], [1.0, 2.0], None, "times: must be finite"),
         ([0.0, 1.0], [1.0, 2.0, 3.0], None, r"values: expected 2 .* got shape \(3,\)"),
-        ([0.0, 1.5], [[1.0], [np.nan]], None, "values: not finite at time 1.5"),
+        ([0.0, 1.5], [[1.0], [np.inf]], None, "values: not finite at time 1.5"),
         ([0.0, 1.0], [1.0, 2.0], 0.0, "deviation: must be positive"),
         ([0.0, 1.0], [1.0, 2.0], [1.0, np.inf], "deviation: must be positive and finite"),
         ([0.0, 1.0], [1.0, 2.0], np.ones(3), r"deviation: shape \(3,\) does not broadcast"),

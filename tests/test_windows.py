@@ -60,3 +60,32 @@ def test_starts_have_derivatives(whole):
 def test_windows_must_share_the_steps(whole):
     with pytest.raises(ValueError, match="count: the 12 steps of the run do not make 5"):
         cut(whole[1], 5)
+
+
+def test_what_makes_no_windows_is_refused(whole):
+    scene, run = whole
+    for count in (0, -3, 2.5, True, "3", None, jnp.ones(2)):
+        with pytest.raises(ValueError, match="count: must be a whole number"):
+            bare(cut)(run, count)
+    with pytest.raises(ValueError, match="run: give a run"):
+        bare(cut)(run.states, 3)
+    with pytest.raises(ValueError, match="run: every step must be saved"):
+        sparse = jax.tree.map(lambda leaf: leaf[::2], run.states)
+        cut(dataclasses.replace(run, states=sparse), 3)
+    with pytest.raises(ValueError, match="run: its states repeat after a failure"):
+        cut(dataclasses.replace(run, states=held(run.states)), 3)
+    windows = cut(run, 3)
+    with pytest.raises(ValueError, match="windows: give windows"):
+        bare(roll)(scene, run)
+    with pytest.raises(ValueError, match="scene: give a scene"):
+        bare(roll)(windows, windows)
+
+
+def held(states):
+    """The last states repeat one, as after a failure."""
+    return jax.tree.map(lambda leaf: leaf.at[-3:].set(leaf[-3]), states)
+
+
+def bare(function):
+    """The function as users have it, without the checks of types that the tests add."""
+    return getattr(function, "__wrapped__", function)
