@@ -6,48 +6,109 @@ at a node is exact.
 """
 
 import dataclasses
+import warnings
 from collections.abc import Callable, Sequence
 
 import equinox as eqx
-import jax
-import jax.core
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from rodjax import rotations
+from rodjax import curves, rotations
 from rodjax.brief import named
+from rodjax.framing import (
+    Number,
+    Vector,
+    carried,
+    direction_of,
+    first_frame,
+    grid,
+    module_of,
+    multiply,
+    shortest,
+    vector,
+)
+from rodjax.results import ModelWarning
+from rodjax.section import (
+    COMPLIANCE,
+    CURVATURE,
+    INERTIA,
+    STIFFNESS,
+    Property,
+    Section,
+    circular_section,
+    components,
+    sample,
+)
+from rodjax.user_functions import called
+from rodjax.validation import (
+    as_float,
+    as_float_or_none,
+    check_flag,
+    check_instance,
+    check_numbers,
+    check_scalar,
+    given,
+    known,
+    shown,
+)
 
-Number = float | int
-Vector = Sequence[Number] | np.ndarray | Array
-Property = Number | np.ndarray | Array | Callable[[np.ndarray], np.ndarray]
+__all__ = [
+    "Number",
+    "Property",
+    "Rod",
+    "Section",
+    "build_rod",
+    "circular_section",
+    "curved_rod",
+    "grid",
+    "sample",
+    "straight_rod",
+]
+
+# under the names that they had here
+_frame, _shortest, _multiply = first_frame, shortest, multiply
 
 
 class Rod(eqx.Module):
     """A rod of n elements; every leaf is an array, per element unless said otherwise.
 
-    Units are free but must be consistent; the ones in brackets are SI.
-    `rotary_inertia = None` leaves rotary inertia out, `mass = None` leaves all inertia out (drag
-    then balances elasticity, as in Klapper 1996), `compliance = None` is Kirchhoff's
-    inextensible, unshearable rod. `diameter` is needed by drag and contact only, `area` by
-    buoyancy and added mass.
+    Made by `straight_rod` and `curved_rod`. Units are free but must be consistent; the ones in
+    brackets are SI. Components of the body frame are in the order a_1, a_2 (across the rod), a_3
+    (along it).
+
+    Attributes:
+        position: (n+1, 3), nodes of the initial placing, inertial axes [m].
+        quaternion: (n+1, 4), real part first: frames of the initial placing, body to inertial.
+        length: (n,), ds of the elements at rest [m].
+        stiffness: (n, 3), A1, A2, C: bending about a_1 and a_2, torsion [N m^2].
+        natural_curvature: (n, 3), kappa0 in the body frame: about a_1, a_2, and twist [1/m].
+        mass: (n,), per length [kg/m]. None leaves all inertia out (drag then balances elasticity,
+            as in Klapper 1996).
+        rotary_inertia: (n, 3), moments of inertia per length about a_1, a_2, a_3 [kg m]. None
+            leaves rotary inertia out.
+        compliance: (n, 3), 1/GA1, 1/GA2, 1/EA: shear along a_1 and a_2, stretch [1/N]; zero where
+            there is none. None is Kirchhoff's inextensible, unshearable rod.
+        diameter: (n,) [m], needed by drag and contact only; or None.
+        area: (n,), of the section [m^2], needed by buoyancy and added mass only; or None.
     """
 
-    position: Float[Array, "nodes 3"]  # nodes of the initial placing [m]
-    quaternion: Float[Array, "nodes 4"]  # frames of the initial placing
-    length: Float[Array, " n"]  # ds at rest [m]
-    stiffness: Float[Array, "n 3"]  # A1, A2, C [N m^2]
-    natural_curvature: Float[Array, "n 3"]  # kappa0 in the body frame [1/m]
-    mass: Float[Array, " n"] | None  # per length [kg/m]
-    rotary_inertia: Float[Array, "n 3"] | None  # per length [kg m]
-    compliance: Float[Array, "n 3"] | None  # 1/GA1, 1/GA2, 1/EA [1/N]
-    diameter: Float[Array, " n"] | None  # [m]
-    area: Float[Array, " n"] | None  # [m^2]
+    position: Float[Array, "nodes 3"] = eqx.field(converter=as_float)
+    quaternion: Float[Array, "nodes 4"] = eqx.field(converter=as_float)
+    length: Float[Array, " n"] = eqx.field(converter=as_float)
+    stiffness: Float[Array, "n 3"] = eqx.field(converter=as_float)
+    natural_curvature: Float[Array, "n 3"] = eqx.field(converter=as_float)
+    mass: Float[Array, " n"] | None = eqx.field(converter=as_float_or_none)
+    rotary_inertia: Float[Array, "n 3"] | None = eqx.field(converter=as_float_or_none)
+    compliance: Float[Array, "n 3"] | None = eqx.field(converter=as_float_or_none)
+    diameter: Float[Array, " n"] | None = eqx.field(converter=as_float_or_none)
+    area: Float[Array, " n"] | None = eqx.field(converter=as_float_or_none)
 
     def __check_init__(self):
-        if isinstance(self.position, jax.core.Tracer) or not hasattr(self.position, "shape"):
-            return
-        n = self.length.shape[-1]
+        check_numbers(length=self.length)
+        if len(jnp.shape(self.length)) != 1:
+            raise ValueError(f"length: give one a element, got {shown(self.length)}")
+        n = self.elements
         if n < 2:
             raise ValueError(f"elements: a rod needs at least 2, got {n}")
         shapes = {
@@ -62,39 +123,45 @@ class Rod(eqx.Module):
             "diameter": (n,),
             "area": (n,),
         }
+        optional = ("mass", "rotary_inertia", "compliance", "diameter", "area")
         for name, shape in shapes.items():
             value = getattr(self, name)
-            if value is None:
+            if value is None and name in optional:
                 continue
-            if tuple(value.shape) != shape:
+            check_numbers(**{name: value})
+            if tuple(jnp.shape(value)) != shape:
                 raise ValueError(
-                    f"{name}: expected shape {shape} for {n} elements, got {value.shape}"
+                    f"{name}: expected shape {shape} for {n} elements, got {jnp.shape(value)}"
                 )
-            if isinstance(value, jax.core.Tracer):
-                continue
-            if not np.all(np.isfinite(value)):
-                raise ValueError(f"{name}: must be finite everywhere")
-            if name in ("length", "stiffness", "mass", "diameter", "area") and np.any(
-                np.asarray(value) <= 0
-            ):
+            if value.dtype != self.position.dtype:
                 raise ValueError(
-                    f"{name}: must be positive in every element"
-                    + ("; for a rod without inertia pass mass=None" if name == "mass" else "")
+                    f"{name}: must be of one precision with the position, {self.position.dtype};"
+                    f" got {value.dtype}"
                 )
-            if name in ("rotary_inertia", "compliance") and np.any(np.asarray(value) < 0):
-                raise ValueError(f"{name}: must not be negative; pass None to leave it out")
-            if name == "quaternion" and np.any(abs(np.linalg.norm(value, axis=1) - 1) > 1e-3):
-                raise ValueError("quaternion: must have unit length at every node")
+            if known(value):
+                _check_values(name, np.asarray(value))
         if self.mass is None and self.rotary_inertia is not None:
             raise ValueError(
                 "rotary_inertia: a rod without mass has none; pass rotary_inertia=None"
+            )
+        self._check_slender()
+
+    def _check_slender(self):
+        if not (known(self.diameter) and known(self.length)):
+            return
+        thickest, length = float(np.max(self.diameter)), float(np.sum(self.length))
+        if thickest > 0.5 * length:
+            warnings.warn(
+                f"diameter: {thickest:g} is no small part of the length {length:g}, which is a rod"
+                " no more; are both in one unit?",
+                ModelWarning,
+                stacklevel=2,
             )
 
     def __repr__(self) -> str:
         given = {f.name: getattr(self, f.name) for f in dataclasses.fields(self)}
         del given["position"], given["quaternion"], given["length"]
-        known = isinstance(self.length, jax.Array | np.ndarray)
-        if known and not isinstance(self.length, jax.core.Tracer) and self.length.ndim == 1:
+        if known(self.length) and self.length.ndim == 1:
             size = {"elements": self.elements, "length": np.sum(np.asarray(self.length))}
         else:
             size = {"length": self.length}
@@ -128,114 +195,18 @@ class Rod(eqx.Module):
         return jnp.concatenate([half, zero]) + jnp.concatenate([zero, half])
 
 
-class Section(eqx.Module):
-    """Section properties as functions of s, arrays per element, or constants (see `Rod`)."""
-
-    stiffness: Sequence[Property]  # A1, A2, C
-    mass: Property | None = None
-    rotary_inertia: Sequence[Property] | None = None
-    compliance: Sequence[Property] | None = None
-    diameter: Property | None = None
-    area: Property | None = None
-
-
-def sample(value: Property, midpoints: np.ndarray, name: str) -> Array:
-    """Values per element of a constant, an array or a function of s (taken at the centres)."""
-    result = jnp.asarray(value(midpoints) if callable(value) else value)
-    result = result.astype(jnp.result_type(float))
-    if result.ndim == 0:
-        return jnp.broadcast_to(result, midpoints.shape)
-    if result.shape != midpoints.shape:
+def _check_values(name, value):
+    if not np.all(np.isfinite(value)):
+        raise ValueError(f"{name}: must be finite everywhere")
+    if name in ("length", "stiffness", "mass", "diameter", "area") and np.any(value <= 0):
         raise ValueError(
-            f"{name}: give a number, a function of s, or {midpoints.size} values (one an element);"
-            f" got shape {result.shape}"
+            f"{name}: must be positive in every element"
+            + ("; for a rod without inertia pass mass=None" if name == "mass" else "")
         )
-    return result
-
-
-def circular_section(
-    diameter: Property,
-    youngs_modulus: Number | Array,
-    shear_modulus: Number | Array,
-    density: Number | Array | None,
-    *,
-    rotary_inertia: bool = True,
-    extensible: bool = False,
-    shear_factor: Number = 1.0,
-) -> Callable[[np.ndarray], Section]:
-    """Solid circular section: A_c = pi D^2/4, A1 = A2 = E A_c D^2/16, C = G A_c D^2/8.
-
-    Arguments: diameter D [m] (number, per element, or function of s); E, G [Pa]; density
-    [kg/m^3] or None for a rod without inertia; `rotary_inertia=False` leaves I = rho J out;
-    `extensible=True` adds the axial and shear compliances 1/(E A_c) and 1/(k G A_c), k the
-    `shear_factor`. Source: Table 1 of Goyal, Perkins & Lee.
-    """
-    _check_positive(
-        youngs_modulus=youngs_modulus, shear_modulus=shear_modulus, shear_factor=shear_factor
-    )
-    if density is not None:
-        _check_positive(density=density)
-
-    def at(midpoints: np.ndarray) -> Section:
-        d = sample(diameter, midpoints, "diameter")
-        _check_positive(diameter=d)
-        area = jnp.pi * d**2 / 4
-        bend = area * d**2 / 16
-        inertia = None if density is None or not rotary_inertia else density * bend
-        shear = 1 / (shear_factor * shear_modulus * area)
-        return Section(
-            stiffness=(youngs_modulus * bend, youngs_modulus * bend, 2 * shear_modulus * bend),
-            mass=None if density is None else density * area,
-            rotary_inertia=None if inertia is None else (inertia, inertia, 2 * inertia),
-            compliance=(shear, shear, 1 / (youngs_modulus * area)) if extensible else None,
-            diameter=d,
-            area=area,
-        )
-
-    return at
-
-
-def _check_positive(**values):
-    for name, value in values.items():
-        if isinstance(value, jax.core.Tracer):
-            continue
-        if not (np.all(np.asarray(value) > 0) and np.all(np.isfinite(value))):
-            raise ValueError(f"{name}: must be positive and finite, got {value}")
-
-
-def _vector(value: Vector, name: str) -> np.ndarray:
-    vector = np.asarray(value, float)
-    if vector.shape != (3,) or not np.all(np.isfinite(vector)):
-        raise ValueError(f"{name}: must have three finite components, got {value}")
-    return vector
-
-
-def grid(length: Number, elements: int, jumps: Sequence[Number] = ()) -> np.ndarray:
-    """Arc lengths of the nodes, equally spaced between the given `jumps` of the properties.
-
-    Every jump becomes a node, so that no element straddles it; elements are shared out so that
-    their lengths are as equal as can be.
-    """
-    if not (np.ndim(length) == 0 and 0 < length < np.inf):
-        raise ValueError(f"length: must be a positive number, got {length}")
-    if not (elements >= 2 and elements % 1 == 0):
-        raise ValueError(f"elements: must be a whole number of at least 2, got {elements}")
-    marks = np.array([0.0, *sorted(jumps), length])
-    if not np.all(np.diff(marks) > 0):
-        raise ValueError(f"jumps: must be distinct and inside (0, {length}), got {tuple(jumps)}")
-    if len(marks) - 1 > elements:
-        raise ValueError(f"elements: {len(marks) - 1} pieces between jumps need as many elements")
-    share = np.diff(marks) / length * elements
-    count = np.maximum(1, np.round(share).astype(int))
-    while count.sum() != elements:  # repair rounding where it hurts least
-        step = 1 if count.sum() < elements else -1
-        cost = np.where((count + step) >= 1, np.abs(count + step - share), np.inf)
-        # pieces of equal length keep equal counts where the total allows it
-        count[np.argmin(cost)] += step
-    pieces = [
-        np.linspace(a, b, k + 1)[1:] for a, b, k in zip(marks[:-1], marks[1:], count, strict=True)
-    ]
-    return np.concatenate([[0.0], *pieces])
+    if name in ("rotary_inertia", "compliance") and np.any(value < 0):
+        raise ValueError(f"{name}: must not be negative; pass None to leave it out")
+    if name == "quaternion" and np.any(abs(np.linalg.norm(value, axis=1) - 1) > 1e-3):
+        raise ValueError("quaternion: must have unit length at every node")
 
 
 def straight_rod(
@@ -251,25 +222,31 @@ def straight_rod(
 ) -> Rod:
     """A rod placed straight along `direction`, its node s = 0 at `origin`.
 
-    `natural_curvature` is kappa0 in the body frame [1/m], each component a number, one value an
-    element or a function of s: a rod with kappa0 != 0 is straight in this placing but not at
-    rest. `first_director` (default: any normal) fixes a_1. `jumps` are the arc lengths where
-    properties jump; they become nodes.
+    Lengths, vectors and properties may be traced (a length only without jumps).
+
+    Args:
+        length: L at rest [m].
+        elements: n, at least 2.
+        section: a `Section`, or a function of arc lengths such as `circular_section` returns.
+        direction: of the rod, from s = 0 on, inertial axes; of any length.
+        first_director: a_1 points this way, as far as it is across the rod; any normal by default.
+        origin: node s = 0 [m].
+        natural_curvature: kappa0 in the body frame [1/m]: about a_1, about a_2, and twist; each a
+            number, one value an element or a function of s, or all as an array (n, 3). A rod with
+            kappa0 != 0 is straight in this placing but not at rest.
+        jumps: arc lengths at which properties jump [m]; they become nodes.
     """
     nodes = grid(length, elements, jumps)
-    tangent = _vector(direction, "direction")
-    if not np.any(tangent):
-        raise ValueError("direction: must not be zero")
-    tangent = tangent / np.linalg.norm(tangent)
-    frame = _frame(tangent, first_director)
-    position = _vector(origin, "origin") + nodes[:, None] * tangent
-    quaternion = np.broadcast_to(frame, (len(nodes), 4))
+    tangent = direction_of(direction, "direction")
+    frame = first_frame(tangent, first_director)
+    position = vector(origin, "origin") + nodes[:, None] * tangent
+    quaternion = module_of(frame).broadcast_to(frame, (len(nodes), 4))
     return build_rod(nodes, position, quaternion, section, natural_curvature)
 
 
 def curved_rod(
-    curve: Callable[[Array], Array],
-    length: Number,
+    curve: Callable[[Array], Array] | np.ndarray | Array,
+    length: Number | None,
     elements: int,
     section: Section | Callable[[np.ndarray], Section],
     *,
@@ -279,36 +256,63 @@ def curved_rod(
 ) -> Rod:
     """A rod placed along a space curve.
 
+    Lengths, curves, points and properties may be traced (a curve that is, or whose length is,
+    must be written with jax.numpy).
+
     Args:
-        curve: position (3,) as a function of arc length s [m]; |dcurve/ds| must be 1 to 1 %.
+        curve: position (3,) as a function of arc length s [m], |dcurve/ds| = 1 to 1 %; or points
+            (k, 3) through which a smooth curve is laid and measured [m].
+        length: L at rest [m]; None for the length of the curve through points, from which a given
+            one may differ by 1 %.
+        elements: n, at least 2.
+        section: a `Section`, or a function of arc lengths such as `circular_section` returns.
+        first_director: a_1 at s = 0, as far as it is across the rod; the frames are carried along
+            without twist from it.
         stress_free: if true kappa0 is the curvature of this placing, so that it is at rest;
             otherwise kappa0 = 0 and the placing is a bent state of a straight rod.
-        first_director: a_1 at s = 0; the frames are carried along without twist from it.
+        jumps: arc lengths at which properties jump [m]; they become nodes.
 
     The nodes are put at distances ds along the frames, R_{i+1} = R_i + ds a_3, so the discrete
     rod starts exactly unstretched; it follows the curve to second order in ds.
     """
+    check_flag(stress_free=stress_free)
+    if callable(curve) and not isinstance(curve, type):
+        at = lambda s: curves.along(curve, s)
+    else:
+        along, measured = curves.through(curve, length)
+        length = measured if length is None else length
+        check_scalar(length=length)
+        if known(as_float(length)) and known(measured) and abs(length / measured - 1) > 0.01:
+            raise ValueError(
+                f"length: the curve through the points is {float(measured):.6g} long, not"
+                f" {float(length):.6g}; give length=None for its own"
+            )
+        at = lambda s: along(s * (measured / length))
     nodes = grid(length, elements, jumps)
-    ds = np.diff(nodes)
-    at = lambda s: _vector(np.asarray(curve(s)), "curve")
-    step = 1e-4 * length / elements
-    tangents = np.stack([at(s + step) - at(s - step) for s in nodes])
-    speed = np.linalg.norm(tangents, axis=1) / (2 * step)
-    if np.any(np.abs(speed - 1) > 0.01):
+    ds = nodes[1:] - nodes[:-1]
+    step = 1e-4 * nodes[-1] / len(ds)
+    both = module_of(nodes).concatenate([nodes + step, nodes - step, nodes[:1]])
+    positions = at(both)
+    xp = module_of(positions)
+    tangents = positions[: len(nodes)] - positions[len(nodes) : -1]
+    size = xp.sqrt(xp.sum(tangents**2, 1))
+    speed = size / (2 * step)
+    if known(speed) and not np.all(np.abs(speed - 1) <= 0.01):
         raise ValueError(
             "curve: must be parametrised by arc length; |d curve/ds| ranges over"
-            f" [{speed.min():.4g}, {speed.max():.4g}]"
+            f" [{np.min(speed):.4g}, {np.max(speed):.4g}]"
         )
-    tangents /= np.linalg.norm(tangents, axis=1)[:, None]
-    frames = [_frame(tangents[0], first_director)]
-    for before, after in zip(tangents[:-1], tangents[1:], strict=True):
-        frames.append(_multiply(_shortest(before, after), frames[-1]))
-    quaternion = np.stack(frames)
+    tangents = tangents / size[:, None]
+    if known(tangents) and np.any(np.sum(tangents[1:] * tangents[:-1], 1) < -0.9):
+        raise ValueError("curve: turns back from node to node; use more elements")
+    quaternion = carried(tangents, first_frame(tangents[0], first_director))
     # element frames halfway between the nodes', and nodes placed along them
     halfway = quaternion[:-1] + quaternion[1:]
-    halfway /= np.linalg.norm(halfway, axis=1)[:, None]
-    edges = ds[:, None] * np.asarray(rotations.tangent_director(jnp.asarray(halfway)))
-    position = at(0.0) + np.concatenate([np.zeros((1, 3)), np.cumsum(edges, 0)])
+    halfway = halfway / xp.sqrt(xp.sum(halfway**2, 1, keepdims=True))
+    edges = rotations.tangent_director(jnp.asarray(halfway))
+    xp = module_of(edges, ds, positions)
+    edges = ds[:, None] * (np.asarray(edges) if xp is np else edges)
+    position = positions[-1] + xp.concatenate([xp.zeros((1, 3)), xp.cumsum(edges, 0)])
     before, after = jnp.asarray(quaternion[:-1]), jnp.asarray(quaternion[1:])
     relative = rotations.multiply(rotations.conjugate(before), after)
     curvature = rotations.logarithm(relative) / ds[:, None]
@@ -324,62 +328,28 @@ def build_rod(
     natural_curvature: Sequence[Property],
 ) -> Rod:
     """A `Rod` from node arc lengths, a placing and a section; the other builders end here."""
-    nodes = np.asarray(nodes, float)
     midpoints = 0.5 * (nodes[1:] + nodes[:-1])
-    chosen = section if isinstance(section, Section) else section(midpoints)
-    many = lambda values, name: jnp.stack([sample(v, midpoints, name) for v in values], -1)
-    optional = lambda how, value, name: None if value is None else how(value, name)
+    chosen = section
+    if callable(section) and not isinstance(section, type):
+        chosen = called("section", section, midpoints)
+    check_instance(Section, "give a Section, or circular_section(...)", section=chosen)
+    default = lambda a: jnp.asarray(a, jnp.result_type(float))
     one = lambda value, name: sample(value, midpoints, name)
-    as_float = lambda a: jnp.asarray(a, jnp.result_type(float))
+    ones = given(mass=chosen.mass, diameter=chosen.diameter, area=chosen.area)
+    triples = {
+        "stiffness": (chosen.stiffness, STIFFNESS),
+        "natural_curvature": (natural_curvature, CURVATURE),
+        "rotary_inertia": (chosen.rotary_inertia, INERTIA),
+        "compliance": (chosen.compliance, COMPLIANCE),
+    }
+    fields = dict.fromkeys(("mass", "diameter", "area", *triples))
+    fields |= {name: one(value, name) for name, value in ones.items()}
+    for name, (value, meaning) in triples.items():
+        if value is not None or name in ("stiffness", "natural_curvature"):
+            fields[name] = components(value, midpoints, name, meaning)
     return Rod(
-        position=as_float(position),
-        quaternion=as_float(quaternion),
-        length=as_float(np.diff(nodes)),
-        stiffness=many(chosen.stiffness, "stiffness"),
-        natural_curvature=many(natural_curvature, "natural_curvature"),
-        mass=optional(one, chosen.mass, "mass"),
-        rotary_inertia=optional(many, chosen.rotary_inertia, "rotary_inertia"),
-        compliance=optional(many, chosen.compliance, "compliance"),
-        diameter=optional(one, chosen.diameter, "diameter"),
-        area=optional(one, chosen.area, "area"),
-    )
-
-
-def _frame(tangent, first_director) -> np.ndarray:
-    """Quaternion of the frame (a_1, a_2, a_3 = tangent) with a_1 as near as can be to the given."""
-    if first_director is None:
-        first_director = np.eye(3)[np.argmin(np.abs(tangent))]
-    given = _vector(first_director, "first_director")
-    first = given - (given @ tangent) * tangent
-    if not np.linalg.norm(first) > 1e-6 * np.linalg.norm(given):
-        raise ValueError("first_director: must not be parallel to the rod")
-    first /= np.linalg.norm(first)
-    columns = np.stack([first, np.cross(tangent, first), tangent], 1)
-    # largest-component rule: exact for the half-turn frames that other formulas lose
-    trace = np.trace(columns)
-    candidates = np.array([trace, *np.diag(columns)])
-    k = int(np.argmax(candidates))
-    m = columns
-    if k == 0:
-        q = np.array([1 + trace, m[2, 1] - m[1, 2], m[0, 2] - m[2, 0], m[1, 0] - m[0, 1]])
-    else:
-        i = k - 1
-        j, l = (i + 1) % 3, (i + 2) % 3
-        q = np.empty(4)
-        q[0] = m[l, j] - m[j, l]
-        q[1 + i] = 1 + m[i, i] - m[j, j] - m[l, l]
-        q[1 + j] = m[j, i] + m[i, j]
-        q[1 + l] = m[l, i] + m[i, l]
-    return q / np.linalg.norm(q)
-
-
-def _shortest(a, b) -> np.ndarray:
-    """Quaternion of the smallest rotation that takes the unit vector a to b."""
-    q = np.concatenate([[1 + a @ b], np.cross(a, b)])
-    return q / np.linalg.norm(q)
-
-
-def _multiply(p, q) -> np.ndarray:
-    return np.concatenate(
-        [[p[0] * q[0] - p[1:] @ q[1:]], p[0] * q[1:] + q[0] * p[1:] + np.cross(p[1:], q[1:])]
+        position=default(position),
+        quaternion=default(quaternion),
+        length=default(nodes[1:] - nodes[:-1]),
+        **fields,
     )

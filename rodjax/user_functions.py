@@ -23,20 +23,7 @@ def returned(name: str, function: Callable, *arguments) -> jax.ShapeDtypeStruct:
     """
 
     def tried(*arguments):
-        try:
-            value = function(*arguments)
-        except jax.errors.JAXTypeError as error:  # by numpy, `if`, `float` of a traced value
-            raise ValueError(
-                f"{name}: {named(function)} cannot be traced by jax; write it with jax.numpy"
-                " instead of numpy, and jnp.where instead of `if`"
-            ) from error
-        except Exception as error:
-            first = str(error).partition("\n")[0]
-            raise ValueError(
-                f"{name}: {named(function)} failed when it was tried:"
-                f" {type(error).__name__}: {first}"
-            ) from error
-        value = as_float(value)
+        value = as_float(called(name, function, *arguments))
         try:
             check_numbers(value=value)
         except ValueError:
@@ -47,6 +34,25 @@ def returned(name: str, function: Callable, *arguments) -> jax.ShapeDtypeStruct:
         return value
 
     return jax.eval_shape(tried, *arguments)
+
+
+def called(name: str, function: Callable, *arguments, hint: str = ""):
+    """What a function returns; ValueError with its name where it fails, with a hint besides."""
+    try:
+        return function(*arguments)
+    except jax.errors.JAXTypeError as error:  # by numpy, `if`, `float` of a traced value
+        raise ValueError(
+            f"{name}: {named(function)} cannot be traced by jax; write it with jax.numpy"
+            " instead of numpy, and jnp.where instead of `if`"
+        ) from error
+    except Exception as error:
+        first = str(error).partition("\n")[0]
+        if isinstance(error, ValueError) and first.partition(":")[0].isidentifier():
+            raise  # it names an argument already
+        raise ValueError(
+            f"{name}: {named(function)} failed when it was tried:"
+            f" {type(error).__name__}: {first}{'; ' if hint else ''}{hint}"
+        ) from error
 
 
 def named(function: Callable) -> str:

@@ -97,6 +97,12 @@ def _made(value):
         return None
 
 
+def array_of(value):
+    """Real numbers as numpy's array (in double precision) where known, else as they are traced."""
+    array = _array(value)
+    return np.asarray(array, float) if isinstance(array, np.ndarray) or known(array) else array
+
+
 def given(**values) -> dict[str, Any]:
     """Those of the arguments that are not None."""
     return {name: value for name, value in values.items() if value is not None}

@@ -161,10 +161,10 @@ def test_what_is_left_out_is_none():
 
 
 def test_a_neck_jumps_exactly_at_nodes():
-    neck = lambda s: np.where(np.abs(s - 0.5) < 0.125, 0.9, 1.0)
+    neck = lambda s: np.where(np.abs(s - 0.5) < 0.125, 0.09, 0.1)
     rod = straight_rod(1.0, 10, circular_section(neck, 1.0, 1.0, 1.0), jumps=(0.375, 0.625))
     inside = (rod.arc_length[:-1] >= 0.375) & (rod.arc_length[1:] <= 0.625)
-    np.testing.assert_allclose(rod.diameter, np.where(inside, 0.9, 1.0), rtol=1e-15)
+    np.testing.assert_allclose(rod.diameter, np.where(inside, 0.09, 0.1), rtol=1e-15)
     assert float(jnp.sum(jnp.where(inside, rod.length, 0.0))) == pytest.approx(0.25, abs=1e-15)
 
 
