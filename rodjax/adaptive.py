@@ -12,6 +12,7 @@ from jax import lax
 from jaxtyping import Array, Bool, Int
 
 from rodjax import drives, passages, results
+from rodjax.arguments import check_end_time, check_motion
 from rodjax.compilation import compiled
 from rodjax.consistency import compiled_restart, start
 from rodjax.generalized_alpha import GeneralizedAlpha
@@ -22,6 +23,7 @@ from rodjax.scene import Scene
 from rodjax.state import State
 from rodjax.step_control import Control, StepControl, begin, choose, error_ratio, tolerances_of
 from rodjax.stepping import StepInfo, advance_to, begin_constraint, no_info, prepare, switching
+from rodjax.validation import check_instance
 
 
 class _Chunk(NamedTuple):
@@ -42,7 +44,7 @@ class _Chunk(NamedTuple):
 def adaptive_rollout(
     scene: Scene,
     state: State,
-    end_time: float,
+    end_time: float | None = None,
     method: GeneralizedAlpha | None = None,
     control: StepControl | None = None,
     *,
@@ -79,6 +81,9 @@ def adaptive_rollout(
             reach of the precision.
         SimulationError: the run failed; its `.partial` is the run up to the failure.
     """
+    check_motion(scene, state)
+    check_end_time(end_time)
+    assert end_time is not None
     span = float(end_time) - float(state.time)
     for name, count in (("chunk", chunk), ("max_steps", max_steps)):
         if count < 1:
@@ -89,6 +94,8 @@ def adaptive_rollout(
     state = prepare(scene, state)
     method = GeneralizedAlpha() if method is None else method
     control = StepControl() if control is None else control
+    check_instance(GeneralizedAlpha, "give GeneralizedAlpha(...)", method=method)
+    check_instance(StepControl, "give StepControl(...)", control=control)
     dtype = state.position.dtype
     method.check_precision(dtype)
     tolerances = tolerances_of(control, dtype)

@@ -15,6 +15,7 @@ from jax import lax
 from jaxtyping import Array, Float
 
 from rodjax import balance, contact_forces, ends, inertia, newton, rotations, start_checks
+from rodjax.arguments import check_scene
 from rodjax.balance import Scales
 from rodjax.block_tridiagonal import BlockTridiagonal
 from rodjax.compilation import compiled
@@ -22,6 +23,7 @@ from rodjax.loads import NodeMotion, total_wrench
 from rodjax.scene import Scene, projectors
 from rodjax.state import State
 from rodjax.strains import Strains, relative_rotation, strains
+from rodjax.validation import check_finite, check_numbers, check_scalar
 
 
 def start(
@@ -50,9 +52,12 @@ def start(
         ValueError: a shape is wrong, a value not finite or too small for the rod's precision, the
             rod is stretched, its ends hold it twice in some direction, or nothing resists its spin.
     """
+    check_scene(scene)
     rod = scene.rod
     dtype = rod.position.dtype
     nodes = rod.elements + 1
+    check_scalar(time=time)
+    check_finite(time=time)
     given = {
         "position": (position, rod.position, 3),
         "quaternion": (quaternion, rod.quaternion, 4),
@@ -61,11 +66,14 @@ def start(
     }
     arrays = {}
     for name, (value, default, width) in given.items():
-        array = jnp.asarray(default if value is None else value, dtype)
+        chosen = default if value is None else value
+        check_numbers(**{name: chosen})
+        array = jnp.asarray(chosen, dtype)
         if array.shape != (nodes, width):
             raise ValueError(f"{name}: expected shape {(nodes, width)}, got {array.shape}")
         if not isinstance(array, jax.core.Tracer) and not np.all(np.isfinite(array)):
             raise ValueError(f"{name}: must be finite everywhere")
+        start_checks.check_size(name, array)
         arrays[name] = array
     if quaternion is not None:
         # q and -q are one frame, but neighbours of opposite sign would count as a turn apart

@@ -12,6 +12,7 @@ from jax import lax
 from jaxtyping import Array, Float
 
 from rodjax import drives, newton, passages, resolution, results
+from rodjax.arguments import check_motion, check_step_times
 from rodjax.compilation import compiled
 from rodjax.generalized_alpha import GeneralizedAlpha
 from rodjax.results import Result, as_code
@@ -19,6 +20,7 @@ from rodjax.run import Run
 from rodjax.scene import Scene
 from rodjax.state import State
 from rodjax.stepping import prepare, step
+from rodjax.validation import check_instance, check_integer
 
 
 def _is_traced(*trees) -> bool:
@@ -29,7 +31,7 @@ def _is_traced(*trees) -> bool:
 def rollout(
     scene: Scene,
     state: State,
-    times: Float[Array, " k"],
+    times: Float[Array, " k"] | None = None,
     method: GeneralizedAlpha | None = None,
     *,
     save_every: int = 1,
@@ -57,8 +59,12 @@ def rollout(
         ValueError: times or schedules do not fit (checked outside traced code).
         SimulationError: a step failed.
     """
-    state = prepare(scene, state)
+    check_motion(scene, state)
+    check_step_times(times)
     method = GeneralizedAlpha() if method is None else method
+    check_instance(GeneralizedAlpha, "give GeneralizedAlpha(...)", method=method)
+    check_integer(1, save_every=save_every)
+    state = prepare(scene, state)
     times = jnp.asarray(times, state.position.dtype)
     if times.ndim != 1 or times.shape[0] < 1 or times.shape[0] % save_every:
         raise ValueError(

@@ -9,6 +9,7 @@ from jax import lax
 from jaxtyping import Array, Bool, Float
 
 from rodjax.admissible import Admissible, admissible, damping_matrix, mass_matrix, mean_bending
+from rodjax.arguments import check_motion
 from rodjax.compilation import compiled
 from rodjax.eigenvalues import grows, lowest
 from rodjax.load_path import check_held
@@ -68,6 +69,7 @@ def stability(scene: Scene, state: State, count: int = 1) -> Stability:
     Raises:
         ValueError: the ends leave the rod free to move, or `count` does not fit.
     """
+    check_motion(scene, state)
     check_held(scene, state)
     check_count(scene, count)
     return _stability(scene, state, count)

@@ -15,6 +15,7 @@ from jax import lax
 from jaxtyping import Array, Float, Int
 
 from rodjax import newton, results, rotations
+from rodjax.arguments import check_motion, check_scene
 from rodjax.balance import Internal
 from rodjax.compilation import compiled
 from rodjax.loads import DistributedLoad
@@ -24,6 +25,7 @@ from rodjax.scene import Scene, projectors
 from rodjax.start_checks import check_held_once
 from rodjax.state import State
 from rodjax.statics import Ramp, StaticEquations, at_rest, static_balance
+from rodjax.validation import check_finite, check_scalar
 
 # How often the path's step may be halved before the path is given up.
 _HALVINGS = 12
@@ -54,6 +56,9 @@ def placing(scene: Scene, time: Number | Float[Array, ""] = 0.0) -> State:
         scene: whose rod it is.
         time: of the state [s].
     """
+    check_scene(scene)
+    check_scalar(time=time)
+    check_finite(time=time)
     rod = scene.rod
     dtype = rod.position.dtype
     rate = jnp.zeros((rod.elements + 1, 6), dtype)
@@ -114,6 +119,7 @@ def equilibrium(
             traced code).
         SimulationError: the path ended early, as it does where the equilibrium becomes critical.
     """
+    check_motion(scene, state)
     dtype = state.position.dtype
     stop = jnp.asarray(state.time if time is None else time, dtype)
     if tolerance is None:

@@ -7,6 +7,7 @@ from jax import lax
 from jaxtyping import Array, Bool, Float
 
 from rodjax.admissible import admissible, mass_matrix, rate_of
+from rodjax.arguments import check_motion
 from rodjax.compilation import compiled
 from rodjax.eigenvalues import lowest
 from rodjax.linear_stability import check_count
@@ -74,6 +75,7 @@ def vibration(scene: Scene, state: State, count: int = 1) -> Vibration:
         ValueError: the rod has no mass, its rotary inertia is too small for its precision, the ends
             leave it free to move, or `count` does not fit.
     """
+    check_motion(scene, state)
     if scene.rod.mass is None:
         raise ValueError("mass: a rod with mass=None does not vibrate; give its section a mass")
     check_held(scene, state)

@@ -165,3 +165,14 @@ def check_single_precision(scene: Scene, *, moving: bool = True) -> None:
                 " becomes zero. Take units near the rod's own size (nm, pN, and so on, see Units),"
                 " or double precision (jax.config.update('jax_enable_x64', True))"
             )
+
+
+def check_size(name: str, array) -> None:
+    """Raise ValueError where squares of squares of the values overflow (outside traced code)."""
+    if not known(array):
+        return
+    largest, limit = float(np.max(np.abs(array))), float(jnp.finfo(array.dtype).max) ** 0.25
+    if largest > limit:
+        raise ValueError(f"{name}: must be smaller than {limit:.0e}, got {largest:.3g}")
+    if name == "quaternion" and not np.all(np.linalg.norm(array, axis=1) > 1e-3):
+        raise ValueError("quaternion: must have unit length at every node, got one of no length")
