@@ -46,6 +46,7 @@ from rodjax.fit_results import FitError as FitError
 from rodjax.fit_results import FitResult as FitResult
 from rodjax.fixed_rollout import rollout as rollout
 from rodjax.generalized_alpha import GeneralizedAlpha as GeneralizedAlpha
+from rodjax.imperfection import imperfect as imperfect
 from rodjax.linear_stability import stability as stability
 from rodjax.load_path import equilibrium as equilibrium
 from rodjax.load_path import placing as placing
@@ -153,6 +154,7 @@ __all__ = [
     "energy",
     "equilibrium",
     "extrapolate",
+    "imperfect",
     "jit",
     "least_squares",
     "measures",

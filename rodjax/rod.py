@@ -233,7 +233,8 @@ def straight_rod(
         origin: node s = 0 [m].
         natural_curvature: kappa0 in the body frame [1/m]: about a_1, about a_2, and twist; each a
             number, one value an element or a function of s, or all as an array (n, 3). A rod with
-            kappa0 != 0 is straight in this placing but not at rest.
+            kappa0 != 0 is straight in this placing but not at rest. (A uniform one does not start
+            the buckling of a rod between two clamps: see `imperfect`.)
         jumps: arc lengths at which properties jump [m]; they become nodes.
     """
     nodes = grid(length, elements, jumps)
