@@ -21,7 +21,15 @@ from rodjax.results import Result, as_code
 from rodjax.run import Run, join_runs
 from rodjax.scene import Scene
 from rodjax.state import State
-from rodjax.step_control import Control, StepControl, begin, choose, error_ratio, tolerances_of
+from rodjax.step_control import (
+    Control,
+    StepControl,
+    begin,
+    choose,
+    error_ratio,
+    near_end,
+    tolerances_of,
+)
 from rodjax.stepping import StepInfo, advance_to, begin_constraint, no_info, prepare, switching
 from rodjax.validation import check_instance
 
@@ -70,7 +78,11 @@ def adaptive_rollout(
         end_time: where it ends [s].
         method: the time integration; default `GeneralizedAlpha()`.
         control: tolerances and bounds of the steps; default `StepControl()`.
-        resume: the `control` of an earlier `Run`, so as to go on from its end as if uncut.
+        resume: `run.control` of a run to go on with, from `state=run.resume_state`. Both are those
+            of before the last steps were shortened to end on that run's end time, so that with the
+            same bounds of the step (`StepControl.max_step`; by default they depend on the span of
+            the first run, and are kept) it does not matter, in any bit, where a run was cut; see
+            `rodjax.run.continued`.
         max_steps: accepted steps after which the run fails by MAX_STEPS.
         chunk: accepted steps between two returns to Python.
         on_chunk: called with every part.
@@ -186,7 +198,9 @@ def _adaptive_chunk(scene, state, control, end_time, method, tolerances, size):
     marks = jnp.concatenate([switches, scene.corners.astype(end_time.dtype), end_time[None]])
 
     def attempt(loop: _Chunk) -> _Chunk:
-        now, dt = loop.state.time, loop.control.dt
+        now = loop.state.time
+        control = near_end(loop.control, end_time - now)
+        dt = control.dt
         # land on the next mark, without leaving a sliver of a step before it
         mark = jnp.min(jnp.where(marks > now, marks, jnp.inf))
         left = mark - now
@@ -194,7 +208,7 @@ def _adaptive_chunk(scene, state, control, end_time, method, tolerances, size):
         stop = jnp.where(left <= 1.0001 * dt, mark, now + dt)
         new, info = advance_to(scene, loop.state, stop, method)
         error = error_ratio(tolerances, scene.rod, loop.state, info)
-        accept, following = choose(loop.control, dt, error, info, stop == mark)
+        accept, following = choose(control, dt, error, info, stop == mark)
         too_small = ~accept & (following.dt < following.min_step)
         failed = info.result != Result.SUCCESS
         result = jnp.where(failed, info.result, Result.STEP_TOO_SMALL)

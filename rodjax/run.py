@@ -20,8 +20,8 @@ class Run(eqx.Module):
     """A stored motion: the states saved, the first being the start, and what every step told.
 
     `states` has a leading axis over the saved states, `infos` over the accepted steps. `control`
-    is the step control's memory of an adaptive run (None otherwise): with it, resuming continues
-    bit for bit.
+    is the step control's memory of an adaptive run (None otherwise): with it, resuming from
+    `resume_state` continues bit for bit.
 
     Attributes:
         states: the `State`s saved, stacked; `run.state(i)`, `run.final`, `run.times` pick of them.
@@ -60,6 +60,16 @@ class Run(eqx.Module):
         """The last state."""
         return jax.tree.map(lambda leaf: leaf[-1], self.states)
 
+    @property
+    def resume_state(self) -> State:
+        """The last state that the end of the run had no part in.
+
+        An adaptive run shortens its last steps to end on its end time; a longer run would not
+        have. Resumed from here it takes the steps of the longer run.
+        """
+        landing = 0 if self.control is None else max(int(self.control.landing), 0)
+        return self.state(-1 - landing)
+
     def state(self, index: int) -> State:
         """One saved state."""
         return jax.tree.map(lambda leaf: leaf[index], self.states)
@@ -70,7 +80,20 @@ class Run(eqx.Module):
 
 
 def join_runs(start: State, parts: list[Run]) -> Run:
-    """The run from `start` through the parts given to `on_chunk`, up to the last of them."""
+    """The run from `start` through the parts given to `on_chunk`, up to the last of them.
+
+    Raises:
+        ValueError: there is no part, or a part does not begin after the one before.
+    """
+    if not parts:
+        raise ValueError("parts: there is none")
+    ends = [np.asarray(start.time)[None], *(np.asarray(part.states.time) for part in parts)]
+    if np.any(np.diff(np.concatenate(ends)) <= 0):
+        raise ValueError(
+            "parts: each must begin after the end of the one before, without the state it began"
+            " from, as those given to on_chunk do; for a run and what resumed it, use"
+            " rodjax.run.continued(run, rest)"
+        )
     last = parts[-1]
     if start.settling is None and last.states.settling is not None:  # as the rollout did
         start = dataclasses.replace(start, settling=jnp.asarray(0, jnp.int32))
@@ -78,3 +101,39 @@ def join_runs(start: State, parts: list[Run]) -> Run:
     states, infos = jax.tree.map(join, *[(part.states, part.infos) for part in parts])
     states = jax.tree.map(lambda a, b: jnp.concatenate([a[None], b]), start, states)
     return Run(states, infos, last.result, last.rejected, last.wasted_iterations, last.control)
+
+
+def continued(run: Run, rest: Run) -> Run:
+    """A run and the one that resumed it as one.
+
+    What lies after the start of `rest` is left out of `run`: its steps to its end time, which the
+    resumed run makes anew. Counts of rejected steps are those of both.
+
+    Raises:
+        ValueError: `rest` does not begin from a state of `run`, or not every step was saved.
+    """
+    first = jax.tree.map(lambda leaf: leaf[0], rest.states)
+    at = np.flatnonzero(np.asarray(run.times) == np.asarray(first.time))
+    if not at.size or not _equal(run.state(int(at[-1])), first):
+        raise ValueError("rest: it does not begin from a state of run, as `resume` begins")
+    count = int(at[-1])
+    if run.infos.result.shape[0] != run.times.shape[0] - 1:
+        raise ValueError("run: only of a run of which every step was saved")
+    cut = lambda tree, size: jax.tree.map(lambda leaf: leaf[:size], tree)
+    join = lambda a, b: jnp.concatenate([a, b])
+    return Run(
+        jax.tree.map(join, cut(run.states, count), rest.states),
+        jax.tree.map(join, cut(run.infos, count), rest.infos),
+        rest.result,
+        run.rejected + rest.rejected,
+        run.wasted_iterations + rest.wasted_iterations,
+        rest.control,
+    )
+
+
+def _equal(a: State, b: State) -> bool:
+    """Whether states are the same bit for bit."""
+    same = lambda x, y: np.asarray(x).tobytes() == np.asarray(y).tobytes()
+    return jax.tree.structure(a) == jax.tree.structure(b) and all(
+        same(x, y) for x, y in zip(jax.tree.leaves(a), jax.tree.leaves(b), strict=True)
+    )

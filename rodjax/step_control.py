@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, Int
 
 from rodjax.rod import Rod
 from rodjax.rotations import logarithm
@@ -59,6 +59,10 @@ class Control(NamedTuple):
     growth: Float[Array, ""]  # how much it may grow after the next accepted step
     max_step: Float[Array, ""]  # bounds of the step; those left to the rollout depend on its span,
     min_step: Float[Array, ""]  # so a resumed run takes them from here
+    # A run ends exactly on its end time, by steps that another end would have made otherwise.
+    landing: Int[Array, ""] | int = -1  # accepted since the end came near; -1: it has not
+    next_dt: Float[Array, ""] | None = None  # `dt` and `growth` as they were then: a resumed run
+    next_growth: Float[Array, ""] | None = None  # goes on with them, from the state of then
 
 
 def tolerances_of(control: StepControl, dtype) -> tuple[Array, ...]:
@@ -75,10 +79,25 @@ def begin(control: StepControl, span: float, dtype, resume: Control | None = Non
     max_step = as_array(max_step if control.max_step is None else control.max_step)
     min_step = 1e-9 * max_step if resume is None else resume.min_step
     min_step = as_array(min_step if control.min_step is None else control.min_step)
-    if resume is not None:
-        return Control(as_array(resume.dt), as_array(resume.growth), max_step, min_step)
-    first = 1e-3 * max_step if control.first_step is None else control.first_step
-    return Control(as_array(first), as_array(2.0), max_step, min_step)
+    if resume is None:
+        dt = 1e-3 * max_step if control.first_step is None else control.first_step
+        growth = 2.0
+    elif int(resume.landing) < 0:
+        dt, growth = resume.dt, resume.growth
+    else:
+        dt, growth = resume.next_dt, resume.next_growth
+    dt, growth = as_array(dt), as_array(growth)
+    return Control(dt, growth, max_step, min_step, jnp.asarray(-1, jnp.int32), dt, growth)
+
+
+def near_end(control: Control, left: Float[Array, ""]) -> Control:
+    """The control with a note of itself if the run's end is nearer than two steps."""
+    now = (control.landing < 0) & (left < 2 * control.dt)
+    return control._replace(
+        landing=jnp.where(now, 0, control.landing).astype(jnp.int32),
+        next_dt=jnp.where(now, control.dt, control.next_dt),
+        next_growth=jnp.where(now, control.growth, control.next_growth),
+    )
 
 
 def error_ratio(
@@ -133,4 +152,5 @@ def choose(
     growth = jnp.where(failed, 1.0, growth).astype(dt.dtype)
     trial = jnp.where(accept & on_mark, jnp.maximum(dt, control.dt), dt)
     dt = jnp.minimum(trial * factor, control.max_step)
-    return accept, control._replace(dt=dt, growth=growth)
+    landing = control.landing + (accept & (control.landing >= 0))
+    return accept, control._replace(dt=dt, growth=growth, landing=landing)
