@@ -9,11 +9,13 @@ from jax import lax
 from rodjax import contact_laws as laws
 from rodjax import rotations
 from rodjax.ends import Clamped, Slider, Turn
+from rodjax.load_path import placing
 from rodjax.loads import MorisonDrag
 from rodjax.rod import Rod, Section, circular_section, curved_rod, straight_rod
+from rodjax.run import Run
 from rodjax.scene import Scene
 from rodjax.schedules import Smooth
-from rodjax.stepping import step
+from rodjax.stepping import no_info, prepare, step
 
 UNIT_SECTION = Section(
     stiffness=(1.0, 1.3, 0.8), mass=1.0, rotary_inertia=(2e-3, 2e-3, 4e-3), diameter=0.1, area=8e-3
@@ -114,3 +116,20 @@ def hairpin(elements=24, half_gap=0.04, tilt=0.003):
 
     section = circular_section(DIAMETER, 1e6, 5e5, 1500.0)
     return curved_rod(curve, 1.0, elements, section)
+
+
+def standing_run(scene: Scene, steps: int, first: float = 0.0, step_size: float = 0.1) -> Run:
+    """A run in which nothing moves, made without computing it: for tests of files.
+
+    Args:
+        first: time of its start [s].
+    """
+    state = prepare(scene, placing(scene))
+    copies = lambda count: lambda leaf: jnp.stack([leaf] * count)
+    states = jax.tree.map(copies(steps + 1), state)
+    states = eqx.tree_at(lambda s: s.time, states, first + step_size * jnp.arange(steps + 1.0))
+    infos = jax.tree.map(
+        lambda leaf: jnp.zeros((steps, *leaf.shape), leaf.dtype), no_info(state.time.dtype)
+    )
+    zero = jnp.asarray(0, jnp.int32)
+    return Run(states, infos, zero, zero, zero)

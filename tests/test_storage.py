@@ -1,5 +1,6 @@
 """Storage: what comes back is equal bit for bit, goes on bit for bit, and is never half written."""
 
+import equinox as eqx
 import h5py
 import jax
 import jax.numpy as jnp
@@ -7,7 +8,7 @@ import numpy as np
 import pytest
 from helpers import driven_scene
 
-from rodjax import ends, loads, schedules, storage
+from rodjax import ends, loads, run_files, schedules, sealed_files, storage
 from rodjax.adaptive import adaptive_rollout
 from rodjax.consistency import start
 from rodjax.contact import Contact
@@ -21,9 +22,9 @@ from rodjax.contact_laws import (
 )
 from rodjax.fixed_rollout import rollout
 from rodjax.generalized_alpha import GeneralizedAlpha
-from rodjax.results import Result
+from rodjax.results import ModelWarning, Result
 from rodjax.rod import Section, straight_rod
-from rodjax.run import join_runs
+from rodjax.run import continued, join_runs
 from rodjax.scene import Scene
 from rodjax.step_control import StepControl
 from rodjax.units import Units
@@ -235,9 +236,9 @@ def test_interrupted_write_keeps_the_earlier_file(example, tmp_path, monkeypatch
 
     with monkeypatch.context() as patch:
         if where == "flush":
-            patch.setattr(storage.os, "fsync", interrupt)
+            patch.setattr(sealed_files.os, "fsync", interrupt)
         else:
-            patch.setattr(storage, "_curvatures", interrupt)  # when most of it has been written
+            patch.setattr(run_files, "_curvatures", interrupt)  # when most of it has been written
         with pytest.raises(KeyboardInterrupt):
             storage.save(path, *example, measures={"number": 2})
     assert path.read_bytes() == before
@@ -250,11 +251,17 @@ def test_other_files_are_refused(tmp_path):
     with pytest.raises(FileNotFoundError, match="nothing.h5"):
         storage.load(tmp_path / "nothing.h5")
     (tmp_path / "text.h5").write_text("not HDF5")
+    with pytest.raises(storage.StorageError, match="cut off|not an HDF5 file"):
+        storage.load(tmp_path / "text.h5")
+    (tmp_path / "text.h5").write_text("not HDF5" * 100)
     with pytest.raises(storage.StorageError, match="not an HDF5 file"):
         storage.load(tmp_path / "text.h5")
     with h5py.File(tmp_path / "other.h5", "w") as file:
         file.attrs["format"] = "something else"
-    with pytest.raises(storage.StorageError, match="not written by"):
+    with (
+        pytest.warns(ModelWarning, match="no checksums"),
+        pytest.raises(storage.StorageError, match="not written by"),
+    ):
         storage.load(tmp_path / "other.h5")
 
 
@@ -262,15 +269,9 @@ def test_newer_format_is_refused(example, tmp_path):
     storage.save(tmp_path / "run.h5", *example)
     with h5py.File(tmp_path / "run.h5", "r+") as file:
         file.attrs["format_version"] = storage.FORMAT_VERSION + 1
+    sealed_files.seal(tmp_path / "run.h5")
     with pytest.raises(storage.StorageError, match="reads up to"):
         storage.load(tmp_path / "run.h5")
-
-
-def _joined(first, rest):
-    """States and infos of a run and its continuation."""
-    states = jax.tree.map(lambda a, b: jnp.concatenate([a, b[1:]]), first.states, rest.states)
-    infos = jax.tree.map(lambda a, b: jnp.concatenate([a, b]), first.infos, rest.infos)
-    return states, infos
 
 
 @pytest.mark.parametrize("stop_after", [1, 3])
@@ -290,12 +291,17 @@ def test_interrupted_run_goes_on_bit_for_bit(example, tmp_path, stop_after):
     first = start(scene)
     with pytest.raises(KeyboardInterrupt):
         adaptive_rollout(scene, first, END, METHOD, CONTROL, chunk=CHUNK, on_chunk=on_chunk)
-    interrupted = join_runs(first, parts)
+    interrupted = join_runs(first, parts[:stop_after])
     assert len(interrupted.times) == 1 + stop_after * CHUNK
     storage.save(tmp_path / "run.h5", scene, interrupted, method=METHOD, control=CONTROL)
     rest = storage.load(tmp_path / "run.h5").resume(END, chunk=CHUNK)
-    assert_identical(_joined(interrupted, rest), (whole.states, whole.infos))
-    assert_identical(rest.control, whole.control)
+    assert_same_motion(continued(interrupted, rest), whole)
+
+
+def assert_same_motion(a, b):
+    """Equal states, reports and memory, bit for bit."""
+    pick = lambda run: (run.states, run.infos, run.control)
+    assert_identical(pick(a), pick(b))
 
 
 def test_run_stopped_anywhere_goes_on_bit_for_bit(example, tmp_path):
@@ -305,7 +311,39 @@ def test_run_stopped_anywhere_goes_on_bit_for_bit(example, tmp_path):
     assert int(stopped.result) == Result.MAX_STEPS
     storage.save(tmp_path / "run.h5", scene, stopped, method=METHOD, control=CONTROL)
     rest = storage.load(tmp_path / "run.h5").resume(END, chunk=CHUNK)
-    assert_identical(_joined(stopped, rest), (whole.states, whole.infos))
+    assert_same_motion(continued(stopped, rest), whole)
+
+
+# the constraint begins at 0.4 and the drive has a corner at 1.0; the last is within a step
+STOPS = [(0.4,), (0.1, 0.25), (0.39, 0.41, 0.9), (0.2, 0.2000001)]
+
+
+@pytest.mark.parametrize("stops", STOPS, ids=str)
+def test_a_resumed_run_does_not_depend_on_where_it_was_cut(example, tmp_path, stops):
+    """Steps shortened to end on an end time are made anew by what goes on from there."""
+    scene, _ = example
+    # a bound of the step that does not depend on the span of the first run
+    control = StepControl(absolute=1e-4, max_step=0.05)
+    whole = adaptive_rollout(scene, start(scene), END, METHOD, control, chunk=CHUNK)
+    run = adaptive_rollout(scene, start(scene), stops[0], METHOD, control, chunk=CHUNK)
+    for stop in (*stops[1:], END):
+        assert float(run.times[-1]) in stops
+        storage.save(tmp_path / "run.h5", scene, run, method=METHOD, control=control)
+        rest = storage.load(tmp_path / "run.h5").resume(stop, chunk=CHUNK)
+        assert float(rest.times[-1]) == stop
+        run = continued(run, rest)
+    assert_same_motion(run, whole)
+
+
+def test_runs_that_overlap_are_not_joined(example):
+    scene, whole = example
+    with pytest.raises(ValueError, match=r"parts: .*continued\(run, rest\)"):
+        join_runs(whole.state(0), [whole, whole])
+    with pytest.raises(ValueError, match="parts: there is none"):
+        join_runs(whole.state(0), [])
+    shifted = eqx.tree_at(lambda run: run.states.position, whole, whole.states.position + 1e-12)
+    with pytest.raises(ValueError, match="rest: it does not begin from a state of run"):
+        continued(whole, shifted)
 
 
 def test_schedule_goes_on_where_it_stopped(example, tmp_path):
