@@ -152,5 +152,5 @@ def choose(
     growth = jnp.where(failed, 1.0, growth).astype(dt.dtype)
     trial = jnp.where(accept & on_mark, jnp.maximum(dt, control.dt), dt)
     dt = jnp.minimum(trial * factor, control.max_step)
-    landing = control.landing + (accept & (control.landing >= 0))
+    landing = control.landing + (accept & (control.landing >= 0)).astype(jnp.int32)
     return accept, control._replace(dt=dt, growth=growth, landing=landing)

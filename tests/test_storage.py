@@ -66,7 +66,8 @@ def assert_identical(a, b):
 
 def test_everything_comes_back(example, tmp_path):
     scene, run = example
-    measures = {"writhe": np.linspace(0, 1, len(run.times)), "nested": {"a": (1, 2.5, "x", None)}}
+    odd = np.array([np.nan, np.inf, -0.0])
+    measures = {"writhe": odd, "nested": {"a": (1, 2.5, "x", None)}}
     path = tmp_path / "deeper" / "run.h5"
     storage.save(path, scene, run, method=METHOD, control=CONTROL, measures=measures)
     stored = storage.load(path)
@@ -88,7 +89,7 @@ OBJECTS = [
     ends.Switched(
         ends.Free(), ends.Switched(ends.Slider((0.1, 0.2, 0.3)), ends.Pinned(), 2.0), 1.0
     ),
-    schedules.Constant(jnp.array([1.0, np.nan, np.inf])),
+    schedules.Constant(jnp.array([1.0, -0.0, 5e-324])),
     schedules.PiecewiseLinearRate([0.0, 0.1], [0.0, 0.7]),
     loads.Gravity((0.0, 0.0, -9.81), fluid_density=1000.0),
     loads.MorisonDrag(1000.0, 0.1, 0.01, current=(0.1, 0.0, 0.0), added_mass_coefficient=1.0),
