@@ -14,7 +14,6 @@ printed is a JSON object with the worst errors and the cost of the gradient.
 import argparse
 import dataclasses
 import json
-import resource
 import statistics
 import subprocess
 import sys
@@ -29,6 +28,7 @@ import jax
 import jax.numpy as jnp
 import matplotlib.pyplot as plt
 import numpy as np
+from _memory import peak_mib
 from example import PRESETS, Preset, scene
 from jax import lax
 from jaxtyping import Array, Float
@@ -271,19 +271,6 @@ def memory(preset: Preset, what: str, quick: bool) -> dict[str, float]:
         "seconds": time.perf_counter() - began,
         "finite": bool(np.all(np.isfinite(leaves))),
     }
-
-
-def peak_mib() -> float:
-    """Peak resident memory of this process [MiB].
-
-    Linux counts in `getrusage` the process that started this one, as it was then.
-    """
-    status = Path("/proc/self/status")
-    if status.exists():
-        lines = status.read_text().splitlines()
-        return int(next(line for line in lines if line.startswith("VmHWM")).split()[1]) / 1024
-    unit = 2**20 if sys.platform == "darwin" else 2**10
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / unit
 
 
 def measure_memory(options) -> dict[str, Any]:

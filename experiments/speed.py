@@ -10,7 +10,6 @@ import argparse
 import importlib.metadata
 import json
 import platform
-import resource
 import time
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -23,22 +22,33 @@ import matplotlib.pyplot as plt
 import numpy as np
 import scipy.interpolate
 import scipy.linalg
+from _memory import peak_mib
 from example import PRESETS, contact_law, scene
 
 from rodjax import consistency
 from rodjax.adaptive import compile_adaptive_rollout
 from rodjax.block_tridiagonal import BlockTridiagonal
-from rodjax.coupled import find_nearby
+from rodjax.compilation import compiled
+from rodjax.contact import interpolate
+from rodjax.contact_forces import joints_of, pair_forces
+from rodjax.coupled import Nearby, find_nearby
 from rodjax.ends import Clamped
 from rodjax.fixed_rollout import rollout
+from rodjax.generalized_alpha import GeneralizedAlpha
 from rodjax.loads import MorisonDrag
+from rodjax.results import Result
 from rodjax.rod import circular_section, curved_rod, straight_rod
 from rodjax.scene import Scene
+from rodjax.state import State
 from rodjax.step_equations import StepEquations
 from rodjax.stepping import prepare, step
 
 jax.config.update("jax_enable_compilation_cache", False)
 
+DRAWN = (
+    "newton", "iteration", "elimination", "correction", "block_solve", "jacobian", "residual",
+    "search", "banded_solve",
+)  # fmt: skip
 STEP = 0.05  # [s], about what the example takes while it intertwines
 
 
@@ -50,7 +60,7 @@ def arguments(argv=None) -> argparse.Namespace:
     parser.add_argument("--quick", action="store_true", help="one small grid, to try it out")
     parser.add_argument("--out", type=Path, default=Path("results/speed"), metavar="DIR")
     options = parser.parse_args(argv)
-    options.elements = options.elements or ([40] if options.quick else [100, 200, 400, 1000, 3200])
+    options.elements = options.elements or ([60] if options.quick else [100, 200, 400, 1000, 3200])
     options.repeats = options.repeats or (3 if options.quick else 15)
     return options
 
@@ -124,49 +134,105 @@ def banded(blocks: BlockTridiagonal) -> tuple[tuple[int, int], np.ndarray]:
     return (below, above), band
 
 
-def iteration_costs(elements: int, contact: bool, repeats: int) -> dict[str, Any]:
-    """Seconds of the parts of one Newton iteration, and of the banded solve of its matrix."""
-    whole = plectoneme(elements, contact)
-    state = consistency.start(whole)
-    expected = 1e-3 * jnp.ones_like(state.velocity)
-    nearby = None
-    if contact:
-        search = eqx.filter_jit(lambda scene, s: find_nearby(scene, s.position, expected))
-        nearby = search(whole, state)
-    radius = jnp.asarray(0.5)
-    equations = StepEquations(whole, state, state.time + STEP, radius, nearby)
-    x = equations.guess()
-    matrix = eqx.filter_jit(lambda e, x: e.linearize(x).blocks)
-    blocks = matrix(equations, x)
-    b = jnp.ones_like(x)
-    bandwidth, band = banded(blocks)
-    right = np.asarray(b).ravel()
-    compiled = {
-        "residual": (eqx.filter_jit(lambda e, x: e.residual(x)), equations, x),
-        "jacobian": (matrix, equations, x),
-        "block_solve": (eqx.filter_jit(lambda a, b: a.solve(b)), blocks, b),
-        "iteration": (eqx.filter_jit(lambda e, x: e.newton_increment(x)), equations, x),
+class _Solved(NamedTuple):
+    """A step's Newton solve, and the parts of one of its iterations, ready to be called."""
+
+    jobs: dict[str, Any]
+    iterations: int
+    blocks: BlockTridiagonal
+    right: jax.Array
+
+
+def step_solve(whole: Scene, state: State, nearby: Nearby | None) -> _Solved:
+    """What a step of STEP seconds does from this state, as `stepping.advance_to` does it.
+
+    Without contact every iteration eliminates anew. Where pairs are near, the derivative is held
+    while the increments shrink fast: `elimination` is done once or twice a step, `correction` (a
+    residual and a solve with the factors) in every iteration.
+    """
+    method = GeneralizedAlpha()
+    tolerance = method.newton_tolerance(state.position.dtype)
+    equations = StepEquations(whole, state, state.time + STEP, method.spectral_radius, nearby)
+    guess = equations.limited(equations.guess())
+
+    @compiled
+    def solved(equations, x):
+        return equations.iterate(x, tolerance, method.max_iterations)
+
+    x, info = solved(equations, guess)
+    assert int(info.result) == Result.SUCCESS, Result(int(info.result))
+    linearized = compiled(lambda e, x: e.linearize(x).blocks)
+    blocks, b = linearized(equations, x), jnp.ones_like(x)
+    parts: dict[str, tuple] = {
+        "residual": (compiled(lambda e, x: e.residual(x)), equations, x),
+        "jacobian": (linearized, equations, x),
+        "block_solve": (compiled(lambda a, b: a.solve(b)), blocks, b),
+        "newton": (solved, equations, guess),
     }
-    if contact:
-        compiled["search"] = (search, whole, state)
+    if nearby is None:
+        parts["increment"] = (compiled(lambda e, x: e.newton_increment(x)), equations, x)
+    else:
+        eliminate = compiled(lambda e, x: e.linearize(x).eliminate())
+        correct = compiled(lambda e, system, x: system.solve(-e.residual(x)))
+        parts["elimination"] = (eliminate, equations, x)
+        parts["correction"] = (correct, equations, eliminate(equations, x), x)
     jobs = {
         name: lambda f=f, rest=rest: jax.block_until_ready(f(*rest))
-        for name, (f, *rest) in compiled.items()
+        for name, (f, *rest) in parts.items()
     }
+    return _Solved(jobs, int(info.iterations), blocks, b)
+
+
+def iteration_costs(elements: int, contact: bool, repeats: int) -> dict[str, Any]:
+    """Seconds of a Newton iteration as steps take it, of its parts, and of the banded solve.
+
+    `iteration` is a step's whole solve over the number of its iterations.
+    """
+    whole = plectoneme(elements, contact)
+    state = consistency.start(whole)
+    nearby, search = None, None
+    if contact:
+        expected = STEP * state.velocity + 0.5 * STEP**2 * state.acceleration[:, :3]
+        find = compiled(lambda scene, s: find_nearby(scene, s.position, expected))
+        nearby = find(whole, state)
+        search = lambda: jax.block_until_ready(find(whole, state))
+    solve = step_solve(whole, state, nearby)
+    bandwidth, band = banded(solve.blocks)
+    right = np.asarray(solve.right).ravel()
+    jobs = dict(solve.jobs)
+    if search is not None:
+        jobs["search"] = search
     jobs["banded_solve"] = lambda: scipy.linalg.solve_banded(bandwidth, band, right)
-    solution = np.asarray(compiled["block_solve"][0](blocks, b)).ravel()
-    reference = jobs["banded_solve"]()
+    solution, reference = np.asarray(jobs["block_solve"]()).ravel(), jobs["banded_solve"]()
     difference = float(np.max(np.abs(solution - reference)) / np.max(np.abs(reference)))
     seconds = interleaved(jobs, repeats)
+    seconds["iteration"] = seconds["newton"] / solve.iterations
     found: dict[str, Any] = {name: float(np.median(s)) for name, s in seconds.items()}
     yardstick = seconds["banded_solve"]
     for name in ("block_solve", "iteration"):
         found[f"{name}_over_banded"] = float(np.median(seconds[name] / yardstick))
     found |= {"bandwidth": bandwidth, "solve_difference": difference}
+    found["iterations"] = solve.iterations
     if nearby is not None:
-        found |= {"pairs": int(nearby.near.count), "joints": int(jnp.sum(nearby.near.rank >= 0))}
-        found["level"] = int(nearby.near.level)
+        found |= contact_counts(whole, state, nearby)
     return found
+
+
+def contact_counts(whole: Scene, state: State, nearby: Nearby) -> dict[str, int]:
+    """Pairs near, their joints (which the solver eliminates), and those on which a force acts."""
+    assert whole.contact is not None
+    where, near = nearby
+    joints, velocities = (interpolate(where, v) for v in (state.position, state.velocity))
+    forces = pair_forces(whole.contact, where, near, joints, velocities).force
+    count = int(near.count)
+    listed = np.stack([np.asarray(index)[:count] for index in joints_of(near)])
+    return {
+        "pairs": count,
+        "joints_near": len(np.unique(listed)),
+        "joints": int(np.sum(np.any(np.asarray(forces) != 0, axis=1))),
+        "segments": whole.contact.segments,
+        "level": int(near.level),
+    }
 
 
 class Rung(NamedTuple):
@@ -234,7 +300,7 @@ def draw(rows: dict[str, dict[int, dict]], out: Path) -> None:
     figure, both = plt.subplots(1, 2, figsize=(12, 4), sharey=True, layout="constrained")
     for axes, (title, found) in zip(both, rows.items(), strict=True):
         n = list(found)
-        for name in ("iteration", "block_solve", "jacobian", "residual", "search", "banded_solve"):
+        for name in DRAWN:
             if name in found[n[0]]:
                 style = "k--" if name == "banded_solve" else "o-"
                 label = "SciPy's banded solve" if name == "banded_solve" else name.replace("_", " ")
@@ -263,7 +329,11 @@ def main(argv=None) -> None:
             parts = ("residual", "jacobian", "block_solve", "banded_solve", "iteration")
             times = " ".join(f"{1e3 * found[part]:9.3f}" for part in parts)
             note = (
-                f"   {found['pairs']} pairs, search {1e3 * found['search']:.2f}" if contact else ""
+                f"   {found['pairs']} pairs, {found['joints']} of {found['segments'] + 1} joints in"
+                f" contact, elimination {1e3 * found['elimination']:.2f}, correction"
+                f" {1e3 * found['correction']:.2f}, search {1e3 * found['search']:.2f}"
+                if contact
+                else ""
             )
             print(
                 f"{elements:8d} {contact!s:>8} {times} {found['block_solve_over_banded']:11.2f}"
@@ -296,8 +366,7 @@ def main(argv=None) -> None:
             f" {found['start_seconds']:6.2f}     {1e3 * found['step_seconds']:8.3f}",
             flush=True,
         )
-    per_mebibyte = 2**20 if platform.system() == "Darwin" else 2**10
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / per_mebibyte
+    peak = peak_mib()
     print(f"\npeak resident memory of the process: {peak:.0f} MiB")
     draw(rows, options.out)
     summary = {

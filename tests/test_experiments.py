@@ -190,13 +190,40 @@ def test_speed_report_in_short_mode(tmp_path):
     assert (tmp_path / "speed.png").exists()
     rows = summary["iteration_seconds"]
     for name in ("without_contact", "plectoneme_in_contact"):
-        row = rows[name]["40"]
+        row = rows[name]["60"]
         assert row["solve_difference"] < 1e-6  # the block solve and SciPy's agree
-        assert all(row[part] > 0 for part in ("residual", "jacobian", "iteration", "banded_solve"))
-    assert rows["plectoneme_in_contact"]["40"]["pairs"] > 0
+        assert all(row[part] > 0 for part in ("residual", "jacobian", "newton", "banded_solve"))
+        assert 2 <= row["iterations"] <= 12
+        # an iteration is a share of a step's whole solve, as steps take it
+        assert row["iteration"] == pytest.approx(row["newton"] / row["iterations"], rel=1e-9)
+    row = rows["plectoneme_in_contact"]["60"]
+    # held: a correction costs less than an elimination, and there are fewer of these
+    assert 0 < row["correction"] < row["elimination"]
+    assert row["pairs"] > 0
+    assert 0 < row["joints"] <= row["joints_near"] <= row["segments"] + 1
+    # where the legs part to their clamps and round the loop nothing acts
+    assert row["joints"] < row["segments"] + 1
     assert summary["compilation"][0]["step_operations"] > 100
     assert summary["peak_resident_mebibytes"] > 100
     assert "SciPy" in text
+
+
+def test_peak_memory_is_that_of_the_process_itself():
+    # 600 MB of the parent's, which getrusage would hand on to the child
+    code = (
+        "import subprocess, sys; block = bytearray(600 * 2**20); block[::4096] = block[::4096];"
+        "print(subprocess.run([sys.executable, '-c',"
+        " 'from _memory import peak_mib; x = bytearray(100 * 2**20); print(peak_mib())'],"
+        " capture_output=True, text=True, check=True).stdout)"
+    )
+    child = subprocess.run(
+        [sys.executable, "-c", code],
+        cwd=ROOT / "experiments",
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert 100 < float(child.stdout) < 300
 
 
 @pytest.mark.parametrize("block", (0, 1), ids=("use", "fit"))
