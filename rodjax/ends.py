@@ -16,15 +16,24 @@ from jaxtyping import Array, Float
 
 from rodjax import rotations
 from rodjax.schedules import AbstractSchedule, check_schedule
-from rodjax.validation import as_float, check_finite, check_instance, check_scalar, known, shown
+from rodjax.validation import (
+    as_float,
+    check_finite,
+    check_instance,
+    check_numbers,
+    check_scalar,
+    known,
+    shown,
+)
 
 
 def _unit(vector):
     """The vector over its length; what has none is left for the check."""
     vector = as_float(vector)
-    if not known(vector):
-        traced = isinstance(vector, jax.core.Tracer) and vector.shape == (3,)
-        return vector / jnp.linalg.norm(vector) if traced else vector
+    if isinstance(vector, jax.core.Tracer) and vector.shape == (3,):
+        return vector / jnp.linalg.norm(vector)
+    if not (known(vector) and jnp.issubdtype(vector.dtype, jnp.floating)):
+        return vector
     largest = np.max(np.abs(vector), initial=0.0)
     if not (0 < largest < np.inf):
         return vector
@@ -33,6 +42,7 @@ def _unit(vector):
 
 
 def _check_axis(axis):
+    check_numbers(axis=axis)
     if jnp.shape(axis) != (3,) or (known(axis) and not 0 < np.max(np.abs(axis)) < np.inf):
         given = np.asarray(axis) if known(axis) else shown(axis)
         raise ValueError(f"axis: give three finite components, not all zero; got {given}")

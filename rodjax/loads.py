@@ -45,15 +45,13 @@ class NodeMotion(NamedTuple):
 
 
 def _check_coefficients(**values):
-    """One finite number >= 0 each (or None)."""
-    values = given(**values)
+    """One finite number >= 0 each."""
     check_scalar(**values)
     check_not_negative(**values)
 
 
 def _check_vector(**values):
-    """Three finite components each (or None)."""
-    values = given(**values)
+    """Three finite components each."""
     check_shape((3,), **values)
     check_finite(**values)
 
@@ -111,7 +109,7 @@ class Gravity(AbstractLoad):
                 f" axes as in (0, 0, -9.81); got {shown(self.acceleration)}"
             )
         _check_vector(acceleration=self.acceleration)
-        _check_coefficients(fluid_density=self.fluid_density)
+        _check_coefficients(**given(fluid_density=self.fluid_density))
 
     def check(self, rod):
         _need(rod, "mass", "Gravity")
@@ -160,9 +158,9 @@ class MorisonDrag(AbstractLoad):
             fluid_density=self.fluid_density,
             normal_coefficient=self.normal_coefficient,
             tangential_coefficient=self.tangential_coefficient,
-            added_mass_coefficient=self.added_mass_coefficient,
+            **given(added_mass_coefficient=self.added_mass_coefficient),
         )
-        _check_vector(current=self.current)
+        _check_vector(**given(current=self.current))
 
     def check(self, rod):
         _need(rod, "diameter", "MorisonDrag")

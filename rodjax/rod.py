@@ -110,7 +110,7 @@ class Rod(eqx.Module):
             raise ValueError(f"length: give one a element, got {shown(self.length)}")
         n = self.elements
         if n < 2:
-            raise ValueError(f"elements: a rod needs at least 2, got {n}")
+            raise ValueError(f"elements: a rod needs at least 2 (a length each), got {n}")
         shapes = {
             "position": (n + 1, 3),
             "quaternion": (n + 1, 4),

@@ -97,7 +97,8 @@ def _check_knots(times, **values):
     for name, value in values.items():
         if jnp.shape(value)[:1] != shape:
             raise ValueError(
-                f"{name}: expected {shape[0]} (one a time), got shape {jnp.shape(value)}"
+                f"{name}: expected {shape[0]} (one for each of the times), got shape"
+                f" {jnp.shape(value)}"
             )
     check_finite(**values)
 
