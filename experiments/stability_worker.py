@@ -19,6 +19,7 @@ from stability_oracle import agreement, measure
 
 import rodjax as rx
 from rodjax.adaptive import compile_adaptive_rollout
+from rodjax.given_steps import until_failure
 from rodjax.results import MESSAGES
 from rodjax.run import Run, join_runs
 from rodjax.stepping import no_info
@@ -104,6 +105,7 @@ def evaluate(case: Case) -> dict[str, Any]:
     began = time.perf_counter()
     run = advance(case, 1, SECONDS)
     code = rx.Result(int(run.result))
+    kept = until_failure(run)
     span = case.duration if case.step is None else BLOCK * case.step
     row = {
         "code": code.name,
@@ -111,11 +113,11 @@ def evaluate(case: Case) -> dict[str, Any]:
         "steps": len(run.times) - 1,
         "rejected": int(run.rejected),
         "iterations": int(np.sum(run.infos.iterations)),
-        "reached": float((np.max(run.times) - case.state.time) / span),
+        "reached": float((kept.times[-1] - case.state.time) / span),
         "precision": case.precision,
         "agreement": None,
     }
-    row |= measure(case.scene, run)
+    row |= measure(case.scene, kept)
     if code == rx.Result.SUCCESS:
         half = advance(case, 2, 26.0 - (time.perf_counter() - began))
         row["half_code"] = rx.Result(int(half.result)).name

@@ -60,6 +60,7 @@ from rodjax.observations import Observations as Observations
 from rodjax.observations import positions_at as positions_at
 from rodjax.priors import LogNormalPrior as LogNormalPrior
 from rodjax.priors import NormalPrior as NormalPrior
+from rodjax.results import Interrupted as Interrupted
 from rodjax.results import ModelWarning as ModelWarning
 from rodjax.results import Result as Result
 from rodjax.results import SimulationError as SimulationError
@@ -71,6 +72,7 @@ from rodjax.rod import circular_section as circular_section
 from rodjax.rod import curved_rod as curved_rod
 from rodjax.rod import straight_rod as straight_rod
 from rodjax.run import Run as Run
+from rodjax.run_check import check as check
 from rodjax.scene import Scene as Scene
 from rodjax.schedules import AbstractSchedule as AbstractSchedule
 from rodjax.schedules import Constant as Constant
@@ -119,6 +121,7 @@ __all__ = [
     "GeneralizedAlpha",
     "Gravity",
     "Huber",
+    "Interrupted",
     "Interval",
     "InversePower",
     "LennardJones",
@@ -149,6 +152,7 @@ __all__ = [
     "Turn",
     "Unbounded",
     "adaptive_rollout",
+    "check",
     "circular_section",
     "curved_rod",
     "energy",

@@ -3,6 +3,7 @@
 import dataclasses
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 from typing import NamedTuple
 
 import jax
@@ -13,11 +14,13 @@ from jaxtyping import Array, Bool, Int
 
 from rodjax import drives, passages, results
 from rodjax.arguments import check_end_time, check_motion
+from rodjax.coarseness import warn_if_hopeless
 from rodjax.compilation import compiled
 from rodjax.consistency import compiled_restart, start
 from rodjax.generalized_alpha import GeneralizedAlpha
 from rodjax.load_path import placing
-from rodjax.results import Result, as_code
+from rodjax.pace import Pace
+from rodjax.results import Interrupted, Result, as_code
 from rodjax.run import Run, join_runs
 from rodjax.scene import Scene
 from rodjax.state import State
@@ -49,6 +52,91 @@ class _Chunk(NamedTuple):
     switching: Bool[Array, ""]  # a constraint begins: the caller makes the state consistent
 
 
+class _Progress(NamedTuple):
+    """What has been computed; replaced as a whole, so that an interruption finds it consistent."""
+
+    state: State
+    control: Control
+    begun: tuple[State, Control]  # where the chunk began
+    pieces: tuple[tuple[State, StepInfo], ...]  # accepted in the chunk, call by call
+    parts: tuple[Run, ...] = ()  # the chunks before
+    accepted: int = 0  # in the parts
+    rejected: int = 0
+    wasted: int = 0
+    loss: Array | None = None  # of the constraint that began with the chunk
+    code: Result = Result.SUCCESS
+    done: bool = False
+    switching: bool = False
+
+    @classmethod
+    def of(cls, state: State, control: Control) -> "_Progress":
+        return cls(state, control, (state, control), (cls._nothing(state),))
+
+    @staticmethod
+    def _nothing(state: State) -> tuple[State, StepInfo]:
+        empty = lambda leaf: np.zeros((0, *leaf.shape), leaf.dtype)
+        return jax.tree.map(empty, (state, no_info(state.position.dtype)))
+
+    @property
+    def count(self) -> int:
+        """Steps accepted in the chunk."""
+        return sum(len(states.time) for states, _ in self.pieces)
+
+    @property
+    def chunk_kept(self) -> bool:
+        """Whether the last chunk closed has steps."""
+        return len(self.parts[-1].states.time) > 0
+
+    def entering(self, scene: Scene) -> "_Progress":
+        """At the begin of a chunk, with a constraint that begins there."""
+        if not (scene.switch_times and bool(switching(scene, self.state))):
+            return self
+        state, loss, held = begin_constraint(scene, self.state, compiled_restart)
+        code = Result(int(held))
+        return self._replace(state=state, loss=loss, code=code, done=code is not Result.SUCCESS)
+
+    def longer(self, out: _Chunk) -> "_Progress":
+        """With the steps of a call."""
+        cut = lambda leaf: np.asarray(leaf)[: int(out.accepted)]
+        return self._replace(
+            state=out.state,
+            control=out.control,
+            pieces=(*self.pieces, jax.tree.map(cut, (out.states, out.infos))),
+            rejected=self.rejected + int(out.rejected),
+            wasted=self.wasted + int(out.wasted),
+            code=Result(int(out.result)),
+            done=bool(out.done),
+            switching=bool(out.switching),
+        )
+
+    def closed(self, scene: Scene, max_steps: int) -> "_Progress":
+        """With the chunk among the parts, unless a strand passed in it."""
+        now, count = self, self.count
+        if count and passages.passed_unseen(scene, self.begun[0], self.state):
+            # somewhere in this chunk, of which nothing is kept
+            state, control = self.begun
+            code, none = Result.STRAND_PASSAGE, (self._nothing(state),)
+            now = now._replace(state=state, control=control, pieces=none, code=code, done=True)
+            count = 0
+        accepted = now.accepted + count
+        if not now.done and accepted >= max_steps:
+            now = now._replace(code=Result.MAX_STEPS, done=True)
+        states, infos = jax.tree.map(lambda *parts: np.concatenate(parts), *now.pieces)
+        if now.loss is not None and count:
+            infos.projection_loss[0] = now.loss
+        as_int = lambda x: jnp.asarray(x, jnp.int32)
+        counts = as_code(now.code), as_int(now.rejected), as_int(now.wasted)
+        part = Run(states, infos, *counts, now.control)
+        return now._replace(
+            begun=(now.state, now.control),
+            pieces=(self._nothing(now.state),),
+            parts=(*now.parts, part),
+            accepted=accepted,
+            loss=None,
+            switching=False,
+        )
+
+
 def adaptive_rollout(
     scene: Scene,
     state: State,
@@ -66,11 +154,12 @@ def adaptive_rollout(
 
     Steps end exactly on the times at which a constraint or a drive's rate changes (and a
     constraint that begins at `end_time` itself is left to the run resumed from there). The loop
-    is compiled once and called for `chunk` accepted steps at a time; `on_chunk(part)` is called
-    after each, for progress and storage, with a `Run` of its accepted steps (its states lack the
-    start, its counts are those so far; see `join_runs`). A chunk over which Tw + Wr jumped is
-    dropped and the run fails by STRAND_PASSAGE. Not differentiable itself: replay
-    `run.times[1:]` by `rollout`, whose derivative is exact for that schedule.
+    is compiled once, in calls of about a second; `on_chunk(part)` is called after each `chunk` of
+    accepted steps (and for what an interruption leaves of one), for progress and storage, with a
+    `Run` of these steps (its states lack the start, its counts are those so far; see `join_runs`).
+    A chunk over which Tw + Wr jumped is dropped and the run fails by STRAND_PASSAGE. Not
+    differentiable itself: replay `run.times[1:]` by `rollout`, whose derivative is exact for that
+    schedule.
     `compile_adaptive_rollout` compiles the loop beforehand.
 
     Args:
@@ -92,6 +181,7 @@ def adaptive_rollout(
         ValueError: a schedule of the scene ends before `end_time`, or a tolerance is out of
             reach of the precision.
         SimulationError: the run failed; its `.partial` is the run up to the failure.
+        Interrupted: Ctrl-C; its `.partial` is the run up to then, to be resumed as any other.
     """
     check_motion(scene, state)
     check_end_time(end_time)
@@ -113,48 +203,37 @@ def adaptive_rollout(
     tolerances = tolerances_of(control, dtype)
     memory = begin(control, span, dtype, resume)
     end, size = jnp.asarray(end_time, dtype), min(chunk, max_steps)
-    as_int = lambda x: jnp.asarray(x, jnp.int32)
 
-    parts: list[Run] = []
-    rejected = wasted = accepted = 0
-    current, code, done = state, Result.SUCCESS, False
-    while not done:
-        loss, held = None, Result.SUCCESS
-        if scene.switch_times and bool(switching(scene, current)):
-            current, loss, held = begin_constraint(scene, current, compiled_restart)
-        out = _adaptive_chunk(scene, current, memory, end, method, tolerances, size)
-        count = int(out.accepted)
-        passed = count > 0 and passages.passed_unseen(scene, current, out.state)
-        if passed:  # somewhere in this chunk, of which nothing is kept
-            count = 0
-        else:
-            current, memory = out.state, out.control
-        cut = lambda leaf, count=count: np.asarray(leaf)[:count]
-        states, infos = jax.tree.map(cut, (out.states, out.infos))
-        if loss is not None and count:
-            losses = infos.projection_loss.copy()
-            losses[0] = loss
-            infos = infos._replace(projection_loss=losses)
-        accepted += count
-        rejected += int(out.rejected)
-        wasted += int(out.wasted)
-        code, done = Result(int(out.result)), bool(out.done)
-        if passed:
-            code, done = Result.STRAND_PASSAGE, True
-        if int(held) != Result.SUCCESS:
-            code, done = Result(int(held)), True
-        if not done and accepted >= max_steps:
-            code, done = Result.MAX_STEPS, True
-        parts.append(Run(states, infos, as_int(code), as_int(rejected), as_int(wasted), memory))
-        if on_chunk is not None and count:
-            on_chunk(parts[-1])
-    run = join_runs(state, parts)
-    allowed = method.newton_error(dtype, accepted)
+    def some(now: _Progress, passes) -> _Chunk:
+        room = jnp.asarray(size - now.count, jnp.int32)
+        arguments = (end, method, tolerances, room, passes, size)
+        return _adaptive_chunk(scene, now.state, now.control, *arguments)
+
+    now, pace = _Progress.of(state, memory), Pace(size)
+    try:
+        while not now.done:
+            now = now.entering(scene)
+            while not (now.done or now.switching or now.count >= size):
+                now = now.longer(pace.call(partial(some, now)))
+            now = now.closed(scene, max_steps)
+            if on_chunk is not None and now.chunk_kept:
+                on_chunk(now.parts[-1])
+    except KeyboardInterrupt as error:
+        now = now._replace(code=Result.INTERRUPTED, done=True)
+        if now.count or not now.parts:
+            now = now.closed(scene, max_steps)
+            if on_chunk is not None and now.chunk_kept:
+                on_chunk(now.parts[-1])
+        run = dataclasses.replace(join_runs(state, list(now.parts)), result=as_code(now.code))
+        raise Interrupted(f"after t = {float(run.times[-1]):g}", run) from error
+    run, code = join_runs(state, list(now.parts)), now.code
+    allowed = method.newton_error(dtype, now.accepted)
     if code is Result.SUCCESS and drives.astray(scene, run.states, allowed):
         code = Result.DRIVE_MISSED
         run = dataclasses.replace(run, result=as_code(code))
     if throw:
-        results.raise_if_failed(code, f"after t = {float(current.time):g}", run)
+        results.raise_if_failed(code, f"after t = {float(run.times[-1]):g}", run)
+    warn_if_hopeless(run)
     return run
 
 
@@ -181,7 +260,8 @@ def compile_adaptive_rollout(
     state = prepare(scene, state)
     method = GeneralizedAlpha() if method is None else method
     memory, tolerances = begin(control, 1.0, dtype), tolerances_of(control, dtype)
-    out = _adaptive_chunk(scene, state, memory, state.time, method, tolerances, chunk)
+    none = jnp.asarray(0, jnp.int32)
+    out = _adaptive_chunk(scene, state, memory, state.time, method, tolerances, none, none, chunk)
     jax.block_until_ready(out.accepted)
 
 
@@ -192,7 +272,8 @@ def _placeholder(scene: Scene) -> State:
 
 
 @compiled
-def _adaptive_chunk(scene, state, control, end_time, method, tolerances, size):
+def _adaptive_chunk(scene, state, control, end_time, method, tolerances, room, passes, size):
+    """Attempts at steps: at most `passes`, until `room` are accepted, in buffers of `size`."""
     empty = lambda leaf: jnp.zeros((size, *leaf.shape), leaf.dtype)
     switches = jnp.asarray(scene.switch_times, end_time.dtype)
     marks = jnp.concatenate([switches, scene.corners.astype(end_time.dtype), end_time[None]])
@@ -246,6 +327,7 @@ def _adaptive_chunk(scene, state, control, end_time, method, tolerances, size):
     )
 
     def going(loop: _Chunk):
-        return ~loop.done & ~loop.switching & (loop.accepted < size)
+        tried = loop.accepted + loop.rejected
+        return ~loop.done & ~loop.switching & (loop.accepted < room) & (tried < passes)
 
     return lax.while_loop(going, attempt, first)

@@ -19,6 +19,7 @@ from rodjax.arguments import check_scene
 from rodjax.balance import Scales
 from rodjax.block_tridiagonal import BlockTridiagonal
 from rodjax.compilation import compiled
+from rodjax.failure import not_a_number
 from rodjax.loads import NodeMotion, total_wrench
 from rodjax.scene import Scene, projectors
 from rodjax.state import State
@@ -46,7 +47,8 @@ def start(
         velocity: v in inertial components [m/s]; zero by default.
         angular_velocity: omega in body components [rad/s]; zero by default.
 
-    Velocities that disagree with constraints and ends are projected (least kinetic energy).
+    Velocities that disagree with constraints and ends are projected (least kinetic energy). In
+    traced code, which cannot raise, the state of a rod that is stretched is not a number.
 
     Raises:
         ValueError: a shape is wrong, a value not finite or too small for the rod's precision, the
@@ -95,14 +97,14 @@ def start(
     new, _, gap = compiled_restart(scene, state)
     tolerance = 1e3 * float(jnp.finfo(dtype).eps) * nodes
     # negated, so that a frame of zero length (not a number here) is an error too
-    if not isinstance(gap, jax.core.Tracer) and not float(gap) <= tolerance:
+    stretched = ~(gap <= tolerance)
+    if not isinstance(stretched, jax.core.Tracer) and bool(stretched):
         raise ValueError(
             f"position: stretched or sheared by {float(gap):.2g} at most, but the rod is"
             " inextensible: place nodes at rest length along the element frames"
         )
     if any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(new)):
-        twice = start_checks.held_twice(scene, new)
-        return dataclasses.replace(new, rate=jnp.where(twice, jnp.nan, new.rate))
+        return not_a_number(new, stretched | start_checks.held_twice(scene, new))
     _check_start(new)
     return new
 

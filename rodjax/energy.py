@@ -258,7 +258,8 @@ def ledger(scene: Scene, run: Run) -> Ledger:
     and rotations: second order in the time between them. One scan, so memory does not grow with
     the number of states beyond that of the run. At a time at which a constraint begins the forces
     are those before; a drive that acts in a direction from the moment that it becomes constrained
-    therefore loses half of its first interval's work.
+    therefore loses half of its first interval's work. So does one whose velocity jumps: what it
+    does in the jolt is not booked (give it a `Smooth` schedule).
     """
     states = run.states
 
@@ -295,7 +296,9 @@ def ledger(scene: Scene, run: Run) -> Ledger:
         jax.eval_shape(lambda: _acting(scene, first)),
     )
     _, (gains, stored) = lax.scan(interval, (first, nothing), states)
-    lost = run.infos.projection_loss.reshape(gains.shape[0] - 1, -1).sum(1)
+    intervals = gains.shape[0] - 1
+    steps = run.infos.projection_loss
+    lost = steps.reshape(intervals, steps.shape[0] // max(intervals, 1)).sum(1)
     lost = jnp.concatenate([jnp.zeros_like(lost[:1]), lost])
     total = jnp.cumsum(jnp.concatenate([gains, lost[:, None]], 1), 0)
     total = total - total[:1]

@@ -11,11 +11,15 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Float
 
-from rodjax import drives, newton, passages, resolution, results
+from rodjax import newton, resolution, results
 from rodjax.arguments import check_motion, check_step_times
+from rodjax.coarseness import warn_if_hopeless
 from rodjax.compilation import compiled
+from rodjax.corners import warn_of_corners
+from rodjax.failure import not_a_number
 from rodjax.generalized_alpha import GeneralizedAlpha
-from rodjax.results import Result, as_code
+from rodjax.given_steps import onto_switches, run_given_steps, until_failure
+from rodjax.results import Result
 from rodjax.run import Run
 from rodjax.scene import Scene
 from rodjax.state import State
@@ -45,9 +49,11 @@ def rollout(
             exact).
         save_every: store every so many steps; the number of steps must be a multiple.
         throw: raise `SimulationError` if a step fails. Either way the motion up to the failure
-            is in the result (the states after it repeat the last good one; what shows only when
-            the run has ended, a passage by its linking number or steps that do not resolve the
-            motion, is reported with all states).
+            is kept: the error's `.partial` is the run up to it; without the error the states
+            after it are not numbers (nor is the derivative of what is built on them; those before
+            keep theirs). A passage that shows only by the linking number of the whole run counts
+            from the first saved state that has it; steps that do not resolve the motion are
+            reported with all states.
 
     Differentiable in every array of scene, state, times and method, in forward and reverse mode;
     the reverse pass keeps of every step Newton's solution, of every `save_every` steps the state,
@@ -55,9 +61,12 @@ def rollout(
     of a state, so 10 or 20 steps a block nearly reach the least memory. The times at which
     constraints change, and the contact's `exclusion`, have no derivative.
 
+    Outside traced code one compiled loop serves any number of steps, in calls of about a second.
+
     Raises:
         ValueError: times or schedules do not fit (checked outside traced code).
         SimulationError: a step failed.
+        Interrupted: Ctrl-C; its `.partial` is the run up to then (outside traced code).
     """
     check_motion(scene, state)
     check_step_times(times)
@@ -73,20 +82,18 @@ def rollout(
     if not _is_traced(scene, state, times):
         check_times(scene, state, times)
         method.check_precision(state.position.dtype)
-    run = _rollout(scene, state, times, method, save_every)
-    if not _is_traced(run) and int(run.result) == Result.SUCCESS:
-        allowed = method.newton_error(state.position.dtype, times.shape[0])
-        if passages.passed_unseen(scene, state, run.final):
-            run = dataclasses.replace(run, result=as_code(Result.STRAND_PASSAGE))
-        elif drives.astray(scene, run.states, allowed):
-            run = dataclasses.replace(run, result=as_code(Result.DRIVE_MISSED))
-    if throw:
-        if _is_traced(run.result):
-            message = "a step failed; call with throw=False and look at `result`"
-            run = eqx.error_if(run, run.result != Result.SUCCESS, message)
-        else:
-            done = run.times[-1] if run.result == 0 else jnp.max(run.times)
-            results.raise_if_failed(run.result, f"after t = {float(done):g}", run)
+    if _is_traced(scene, state, times, method, jnp.zeros(()) + 0):  # whatever is computed here is
+        run = _rollout(scene, state, times, method, save_every)
+        message = "a step failed; call with throw=False and look at `result`"
+        return eqx.error_if(run, run.result != Result.SUCCESS, message) if throw else run
+    warn_of_corners(scene, float(state.time), np.asarray(times))
+    run = run_given_steps(scene, state, np.asarray(times), method, save_every)
+    if throw and int(run.result) != Result.SUCCESS:
+        told = np.asarray(run.infos.result)
+        good = int(np.argmax(told != 0)) if np.any(told) else len(told)
+        after = float(times[good - 1]) if good else float(state.time)
+        results.raise_if_failed(run.result, f"after t = {after:g}", until_failure(run))
+    warn_if_hopeless(run)
     return run
 
 
@@ -105,14 +112,6 @@ def check_times(scene: Scene, state: State, times: Float[Array, " k"]) -> None:
             raise ValueError(
                 f"times: a constraint changes at {switch:g}, which must be one of the times"
             )
-
-
-def onto_switches(scene, start, times):
-    """The times, those within rounding of a switch exactly on it."""
-    steps = jnp.diff(times, prepend=start)
-    for switch in scene.switch_times:
-        times = jnp.where(jnp.abs(times - switch) <= 1e-6 * steps, switch, times)
-    return times
 
 
 @compiled
@@ -143,11 +142,15 @@ def _rollout(scene, state, times, method, save_every):
 
     times = onto_switches(scene, state.time, times)
     start = (state, jnp.asarray(0, jnp.int32))
-    (_, code), (states, infos) = lax.scan(block, start, times.reshape(-1, save_every))
-    states = jax.tree.map(lambda first, rest: jnp.concatenate([first[None], rest]), state, states)
+    (_, code), (saved, infos) = lax.scan(block, start, times.reshape(-1, save_every))
     infos = jax.tree.map(lambda leaf: leaf.reshape((-1, *leaf.shape[2:])), infos)
-    unresolved = resolution.unresolved(scene, states, infos, jnp.diff(times, prepend=start[0].time))
+    steps = jnp.diff(times, prepend=state.time)
+    states = jax.tree.map(lambda first, rest: jnp.concatenate([first[None], rest]), state, saved)
+    unresolved = resolution.unresolved(scene, states, infos, steps)
+    last = slice(save_every - 1, None, save_every)
+    failed = jnp.append(False, infos.result[last] != Result.SUCCESS)
+    given = jnp.append(state.time, times[last])
+    states = eqx.tree_at(lambda s: s.time, not_a_number(states, failed), given)
     code = jnp.where((code == Result.SUCCESS) & unresolved, Result.UNRESOLVED, code)
-    code = code.astype(jnp.int32)
     zero = jnp.asarray(0, jnp.int32)
-    return Run(states, infos, code, zero, zero)
+    return Run(states, infos, code.astype(jnp.int32), zero, zero)

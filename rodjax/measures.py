@@ -143,7 +143,14 @@ def contacts(scene: Scene, run: Run) -> ContactReport:
     contact = scene.contact
     if contact is None:
         raise ValueError("scene: it has no contact to report")
-    one = lambda s: contact_forces.report(contact, scene.rod, s.position, s.velocity)
+
+    def one(s):
+        found = contact_forces.report(contact, scene.rod, s.position, s.velocity)
+        # what is not a number is near nothing, but not for that free of forces
+        unknown = 0 * jnp.sum(s.position)
+        numbers = (found.force, found.total, found.smallest)
+        return ContactReport(*(x + unknown for x in numbers), found.overflow)
+
     return lax.map(one, run.states)
 
 
@@ -183,8 +190,9 @@ def apex(state: State, axis: Float[Array, "3"], origin: Float[Array, "3"] | None
     near = lambda values: lax.dynamic_slice_in_dim(values, k - 1, 3)
     a, b, c = near(squared)
     bend = a - 2 * b + c
-    curved = bend < 0  # a node that is farther than both neighbours
-    x = jnp.where(curved, 0.5 * (a - c) / jnp.where(curved, bend, 1.0), 0.0)
+    # not a node that is farther than both neighbours; what is not a number stays so
+    flat = bend >= 0
+    x = jnp.where(flat, 0.0, 0.5 * (a - c) / jnp.where(flat, 1.0, bend))
     x = jnp.clip(x, -1.0, 1.0)
     weights = jnp.stack([0.5 * x * (x - 1), 1 - x * x, 0.5 * x * (x + 1)])
     tangent = weights @ near(rotations.tangent_director(state.quaternion))
@@ -227,7 +235,8 @@ def first_crossing(
 
     Linear between samples, or the cubic through values and `rates` at both (`slopes` gives rates
     for a smooth quantity). The first time if it starts at or above the level, inf if it never
-    reaches it. Differentiable in all arguments; the sample interval is held.
+    reaches it; NaN if it is not known whether it would have (a run that failed before).
+    Differentiable in all arguments; the sample interval is held.
 
     Args:
         times: of the samples, increasing [s].
@@ -249,7 +258,12 @@ def first_crossing(
         cubic = tuple(jnp.where(inside, a, b) for a, b in zip(cubic, line, strict=True))
         x = _hermite_root(cubic, jnp.asarray(level, values.dtype))
     time = jnp.where(inside, t0 + x * (t1 - t0), times[0])
-    return jnp.where(jnp.any(reached), time, jnp.inf)
+    return jnp.where(jnp.any(reached), time, _unless_unknown(values, jnp.inf))
+
+
+def _unless_unknown(values, otherwise):
+    """NaN if a value is, with a derivative that is NaN as well, else what is given."""
+    return jnp.where(jnp.any(jnp.isnan(values)), jnp.sum(values), otherwise)
 
 
 def _hermite_root(cubic, level):
@@ -280,7 +294,8 @@ def time_of_maximum(times: Float[Array, " k"], values: Float[Array, " k"]) -> Fl
 
     The vertex of the parabola through it and its two neighbours.
 
-    The sample's own time if it is the first or the last. Differentiable; the samples are held.
+    The sample's own time if it is the first or the last; NaN if a value is. Differentiable; the
+    samples are held.
     """
     largest = jnp.argmax(values)
     k = jnp.clip(largest, 1, values.shape[0] - 2)
@@ -294,7 +309,7 @@ def time_of_maximum(times: Float[Array, " k"], values: Float[Array, " k"]) -> Fl
     bend = jnp.where(inside, bend, 1.0)
     # the slope of the parabola falls linearly from `left` to `right` between the interval centres
     vertex = 0.5 * (t[0] + t[1]) - left / bend * 0.5 * (before + after)
-    return jnp.where(inside, vertex, times[largest])
+    return _unless_unknown(values, jnp.where(inside, vertex, times[largest]))
 
 
 def buckling_time(scene: Scene, run: Run) -> Float[Array, ""]:

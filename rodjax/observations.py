@@ -143,8 +143,8 @@ def positions_at(
         nodes: numbers of the nodes wanted, negative from the end s = L; all by default.
 
     Fourth order in the interval between saved states. Differentiable in the run and the times.
-    In traced code a time outside the run, or after the failure of one made with `throw=False`,
-    gives NaN, which a fit takes as a failed trial.
+    In traced code a time outside the run gives NaN, and so does one after the failure of a run
+    made with `throw=False`, which a fit takes as a failed trial.
 
     Raises:
         ValueError: a time lies outside the run (checked outside traced code), or the nodes are
@@ -160,8 +160,7 @@ def positions_at(
             f"times: must have shape (k,), or (k, {which.size}) with a column for each node, got"
             f" {times.shape}"
         )
-    # a run that failed repeats its last good state
-    first, last = saved[0], jnp.max(saved)
+    first, last = saved[0], saved[-1]
     slack = 8 * jnp.finfo(saved.dtype).eps * (jnp.abs(first) + jnp.abs(last))
     inside = (times >= first - slack) & (times <= last + slack)
     traced = any(isinstance(x, jax.core.Tracer) for x in (saved, times, inside))

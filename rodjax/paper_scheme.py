@@ -46,7 +46,9 @@ from jaxtyping import Array, Float, Int
 
 from rodjax import contact_forces, ends, newton, results, rotations
 from rodjax.compilation import compiled
-from rodjax.fixed_rollout import check_times, onto_switches
+from rodjax.failure import not_a_number
+from rodjax.fixed_rollout import check_times
+from rodjax.given_steps import onto_switches, until_failure
 from rodjax.loads import Gravity, LinearDrag, MorisonDrag
 from rodjax.paper_equations import Fields, PaperEquations, weights
 from rodjax.paper_solvers import AbstractSolver, BlockSolve
@@ -244,8 +246,8 @@ def paper_rollout(
     check_times(scene, state, times)
     run = _paper_rollout(scene, state, times, method)
     if throw:
-        done = run.times[-1] if run.result == 0 else jnp.max(run.times)
-        results.raise_if_failed(run.result, f"after t = {float(done):g}", run)
+        good = until_failure(run)
+        results.raise_if_failed(run.result, f"after t = {float(good.times[-1]):g}", good)
     return run
 
 
@@ -267,4 +269,7 @@ def _paper_rollout(scene, state, times, method):
     (_, code), (states, infos) = lax.scan(one, (fields, zero), times)
     join = lambda first, rest: jnp.concatenate([first[None], rest])
     states = jax.tree.map(join, fields.state, states)
+    failed = jnp.append(False, infos.result != Result.SUCCESS)
+    given = jnp.append(fields.state.time, times)
+    states = eqx.tree_at(lambda s: s.time, not_a_number(states, failed), given)
     return Run(states, infos, code, zero, zero)

@@ -5,6 +5,7 @@ nearer along the rod than contact's `exclusion`, a loop smaller than a segment, 
 through the other) still changes the linking number by 2.
 """
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -55,3 +56,19 @@ def passed_unseen(scene: Scene, before: State, after: State) -> bool:
         applied += sign * along * float(angle) / (2 * np.pi)
     change = float(linking_number(after)) - float(linking_number(before))
     return abs(change - applied) > _ALLOWED
+
+
+def first_passage(scene: Scene, states: State) -> int | None:
+    """Index of the first saved state between which and the start Lk changed so; None if none did.
+
+    Looked for by halving, once the last one tells.
+    """
+    at = lambda index: jax.tree.map(lambda leaf: leaf[index], states)
+    low, high = 0, states.time.shape[0] - 1
+    if not passed_unseen(scene, at(low), at(high)):
+        return None
+    while high - low > 1:
+        middle = (low + high) // 2
+        passed = passed_unseen(scene, at(0), at(middle))
+        low, high = (low, middle) if passed else (middle, high)
+    return high

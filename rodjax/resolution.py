@@ -1,6 +1,8 @@
 """Whether given steps resolve the motion that they took, judged when a rollout has ended."""
 
+import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import lax
 from jaxtyping import Array, Bool, Float
 
@@ -14,8 +16,8 @@ NOISE = (0.05, 0.1)  # speeds of rounding over elastic and actual ones that drow
 
 
 def unresolved(
-    scene: Scene, states: State, infos: StepInfo, steps: Float[Array, " k"]
-) -> Bool[Array, ""]:
+    scene: Scene, states: State, infos: StepInfo, steps: Float[Array | np.ndarray, " k"]
+) -> Bool[Array | np.ndarray, ""] | np.bool_:
     """Whether the steps of a run were too long for its motion, or too short for its precision.
 
     Too long: the local errors of displacements exceed half of the displacements, in the rms over
@@ -30,17 +32,23 @@ def unresolved(
     """
     rod = scene.rod
     if rod.mass is None:
-        return jnp.asarray(False)
-    states, infos, steps = lax.stop_gradient((states, infos, steps))
-    length = jnp.sum(rod.length)
+        return np.asarray(False) if isinstance(steps, np.ndarray) else jnp.asarray(False)
+    if isinstance(steps, np.ndarray):  # outside traced code, where each length would be compiled
+        rod = jax.tree.map(np.asarray, rod)
+        return _unresolved(np, rod, states, infos, steps)
+    return lax.stop_gradient(_unresolved(jnp, *lax.stop_gradient((rod, states, infos, steps))))
+
+
+def _unresolved(xp, rod, states, infos, steps):
+    length = xp.sum(rod.length)
     # the shock of a new constraint is damped, not resolved
-    counted = jnp.where(infos.settling, 0.0, 1.0)
-    squares = lambda values: jnp.sum(counted * values**2)
+    counted = xp.where(infos.settling, 0.0, 1.0)
+    squares = lambda values: xp.sum(counted * values**2)
     visible = VISIBLE * length
     motion = squares(infos.growth_position) + squares(visible)
     too_long = squares(infos.error_position) > COARSE**2 * motion
-    noise = jnp.finfo(length.dtype).eps * length / jnp.min(steps)
-    elastic = jnp.sqrt(jnp.mean(rod.stiffness[:, :2]) / jnp.mean(rod.mass)) / length
-    fastest = jnp.sqrt(jnp.max(jnp.sum(states.velocity**2, -1)))
+    noise = xp.finfo(length.dtype).eps * length / xp.min(steps)
+    elastic = xp.sqrt(xp.mean(rod.stiffness[:, :2]) / xp.mean(rod.mass)) / length
+    fastest = xp.sqrt(xp.max(xp.sum(states.rate[..., :3] ** 2, -1)))
     too_short = (noise > NOISE[0] * elastic) & (noise > NOISE[1] * fastest)
-    return lax.stop_gradient(too_long | too_short)
+    return too_long | too_short

@@ -104,6 +104,19 @@ class SimulationError(RuntimeError):
         super().__init__(f"{where + ': ' if where else ''}{MESSAGES[self.result]}")
 
 
+class Interrupted(KeyboardInterrupt):
+    """Ctrl-C during a run; `partial` is the run so far, `result` says INTERRUPTED.
+
+    Still a KeyboardInterrupt, whatever `throw` says: scripts end by it, and no `except Exception`
+    holds it.
+    """
+
+    def __init__(self, where: str = "", partial=None):
+        self.result = Result.INTERRUPTED
+        self.partial = partial
+        super().__init__(f"{where + ': ' if where else ''}{MESSAGES[self.result]}")
+
+
 # How a step says that it failed: outside traced code, or by a check in a compiled program. Faults
 # of the machine or of a program (memory, a device, a callback) are RuntimeErrors, but not these.
 STEP_FAILED = (SimulationError, eqx.EquinoxRuntimeError)

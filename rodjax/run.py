@@ -97,9 +97,11 @@ def join_runs(start: State, parts: list[Run]) -> Run:
     last = parts[-1]
     if start.settling is None and last.states.settling is not None:  # as the rollout did
         start = dataclasses.replace(start, settling=jnp.asarray(0, jnp.int32))
-    join = lambda *leaves: jnp.asarray(np.concatenate(leaves))
+    join = lambda *leaves: np.concatenate(leaves)
     states, infos = jax.tree.map(join, *[(part.states, part.infos) for part in parts])
-    states = jax.tree.map(lambda a, b: jnp.concatenate([a[None], b]), start, states)
+    infos = jax.tree.map(jnp.asarray, infos)
+    first = lambda a, b: jnp.asarray(np.concatenate([np.asarray(a)[None], b]))
+    states = jax.tree.map(first, start, states)
     return Run(states, infos, last.result, last.rejected, last.wasted_iterations, last.control)
 
 

@@ -95,7 +95,7 @@ class Scene(eqx.Module):
         return tuple(t for end in self.ends for t in end.switch_times)
 
     @property
-    def _schedules(self) -> list:
+    def schedules(self) -> list:
         """Everything prescribed over time, with its name."""
         found = []
         for name, end in zip(("first_end", "last_end"), self.ends, strict=True):
@@ -108,12 +108,12 @@ class Scene(eqx.Module):
     @property
     def corners(self) -> Float[Array, " k"]:
         """Times at which a derivative of a drive jumps; adaptive steps end on them."""
-        corners = [schedule.corners for _, schedule in self._schedules]
+        corners = [schedule.corners for _, schedule in self.schedules]
         return jnp.concatenate([jnp.zeros((0,)), *corners])
 
     def check_until(self, time: float) -> None:
         """Raise ValueError if a schedule ends before `time` (outside traced code only)."""
-        for name, schedule in self._schedules:
+        for name, schedule in self.schedules:
             if isinstance(schedule.until, jax.core.Tracer):
                 continue
             until = float(schedule.until)

@@ -58,14 +58,17 @@ def writhe(
     """
     edges = positions[1:] - positions[:-1]
     length = jnp.sum(jnp.linalg.norm(edges, axis=1))
+    # pairs without an angle count as zero: where vertices are no numbers, neither is the writhe
+    unknown = 0 * lax.stop_gradient(length)
     vertices = positions / length  # so that products stay in range
     if closed:
         edges = jnp.concatenate([edges, positions[:1] - positions[-1:]])
         pairs = _sum_over_pairs(vertices, jnp.roll(vertices, -1, axis=0), closed)
+        pairs = pairs + unknown
         return _with_local_derivative(pairs, jnp.concatenate([edges, edges[:1]])) / jnp.pi
     start = edges[0] / jnp.linalg.norm(edges[0]) if start_direction is None else start_direction
     end = edges[-1] / jnp.linalg.norm(edges[-1]) if end_direction is None else end_direction
-    pairs = _sum_over_pairs(vertices[:-1], vertices[1:], closed)
+    pairs = _sum_over_pairs(vertices[:-1], vertices[1:], closed) + unknown
     there = jnp.concatenate([start[None, :], edges, end[None, :]])
     if extension is None:
         angles = _extension_angles(vertices, start, end, jnp.zeros_like(length))

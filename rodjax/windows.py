@@ -63,8 +63,8 @@ def roll(scene: Scene, windows: Windows, method: GeneralizedAlpha | None = None)
 
     Every leaf of the run has them along its leading axis.
 
-    Differentiable as `rollout` is, in the starts too. A window that fails repeats its last good
-    state and says so in `result`; the others go on.
+    Differentiable as `rollout` is, in the starts too. A window that fails is not a number from then
+    on and says so in `result`; the others go on.
     """
     check_instance(Scene, "give a scene", scene=scene)
     check_instance(Windows, "give windows, as `cut` makes them", windows=windows)
