@@ -80,7 +80,7 @@ MESSAGES = {
     ),
     Result.ROTATION_TOO_LARGE: (
         "an element turned by more than 0.9 of a revolution, or a node by half of one in a step;"
-        " use more elements or smaller steps"
+        " use more elements or smaller steps; angles are in radians, and units must be consistent"
     ),
     Result.SWITCH_MISSED: (
         "a step strode over the time at which a constraint changes; end a step there"

@@ -6,8 +6,17 @@ number leaves the program, in files and on the axes of figures.
 
 from typing import NamedTuple
 
+from rodjax.validation import shown
 
-class Units(NamedTuple):
+
+class _Names(NamedTuple):
+    length: str = "m"
+    time: str = "s"
+    mass: str = "kg"
+    force: str = "N"
+
+
+class Units(_Names):
     """Names of the base units of a scene, SI by default.
 
     For nanometres and piconewtons: `Units("nm", "s", "pN s^2/nm", "pN")`.
@@ -16,10 +25,14 @@ class Units(NamedTuple):
         length, time, mass, force: names of these units; energy is force times length.
     """
 
-    length: str = "m"
-    time: str = "s"
-    mass: str = "kg"
-    force: str = "N"
+    __slots__ = ()
+
+    def __new__(cls, length: str = "m", time: str = "s", mass: str = "kg", force: str = "N"):
+        units = super().__new__(cls, length, time, mass, force)
+        for name, unit in units._asdict().items():
+            if not isinstance(unit, str) or not unit.strip():
+                raise ValueError(f"{name}: name the unit by a text such as 'm', got {shown(unit)}")
+        return units
 
     @property
     def energy(self) -> str:

@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 
 import rodjax as rx
+from rodjax.units import Units
 
 N = 6
 SECTION = rx.circular_section(0.01, 1e7, 4e6, 1500.0)
@@ -379,6 +380,13 @@ CATALOGUE = {
         rx.StepControl,
         {name: (0.01, positive) for name in ("relative", "absolute", "twisting")}
         | {name: (0.01, optional(positive)) for name in ("max_step", "first_step", "min_step")},
+    ),
+    "Units": (
+        Units,
+        {
+            name: ("m", lambda v: isinstance(v, str) and bool(v))
+            for name in ("length", "time", "mass", "force")
+        },
     ),
     "Scene": (
         rx.Scene,
