@@ -77,7 +77,13 @@ class Turn(eqx.Module):
 
 
 class AbstractEnd(eqx.Module):
-    """One end of a rod."""
+    """One end of a rod.
+
+    Attributes:
+        displacement: schedule of three inertial components [m], whose changes move the node in
+            the directions that the end takes away; None for an end that is held.
+        rotation: a `Turn`, the same for the frame.
+    """
 
     displacement: eqx.AbstractVar[AbstractSchedule | None]
     rotation: eqx.AbstractVar[Turn | None]
@@ -119,7 +125,11 @@ def _check_absent(what, **values):
 
 
 class Free(AbstractEnd):
-    """No constraint: position and frame follow from the motion, force and moment are zero."""
+    """No constraint: position and frame follow from the motion, force and moment are zero.
+
+    Attributes:
+        displacement, rotation: nothing; it cannot be driven.
+    """
 
     displacement: None = None
     rotation: None = None
@@ -155,6 +165,7 @@ class Pinned(AbstractEnd):
 
     Attributes:
         displacement: schedule of three inertial components [m]; only its changes count.
+        rotation: nothing; it turns as it will.
     """
 
     displacement: AbstractSchedule | None = None

@@ -35,13 +35,21 @@ from rodjax.validation import (
 
 
 class NodeMotion(NamedTuple):
-    """Configuration and rates of the nodes that a load sees."""
+    """Configuration and rates of the nodes that a load sees.
+
+    Attributes:
+        time: [s].
+        position: (n+1, 3), inertial components [m].
+        quaternion: (n+1, 4), real part first: frames of the nodes, body to inertial.
+        velocity: (n+1, 3), inertial components [m/s].
+        angular_velocity: (n+1, 3), body components [rad/s].
+    """
 
     time: Float[Array, ""]
     position: Float[Array, "nodes 3"]
     quaternion: Float[Array, "nodes 4"]
-    velocity: Float[Array, "nodes 3"]  # inertial components
-    angular_velocity: Float[Array, "nodes 3"]  # body components
+    velocity: Float[Array, "nodes 3"]
+    angular_velocity: Float[Array, "nodes 3"]
 
 
 def _check_coefficients(**values):
