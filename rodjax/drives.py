@@ -24,8 +24,9 @@ def too_fast(
     start: Float[Array, ""],
     stop: Float[Array, ""],
     quaternion: Float[Array, "nodes 4"],
+    largest: float = LARGEST_TURN,
 ) -> Bool[Array, ""] | None:
-    """Whether an end is to turn by half a turn or more from `start` to `stop`; None if none turns.
+    """Whether an end is to turn by `largest` or more from `start` to `stop`; None if none turns.
 
     `quaternion` are the frames at `start`. What a drive prescribes in directions that its end
     leaves free does not count.
@@ -37,7 +38,7 @@ def too_fast(
             turns.append(end.projector(start).astype(turn.dtype)[3:, 3:] @ turn)
     if not turns:
         return None
-    return jnp.any(jnp.sum(jnp.stack(turns) ** 2, 1) >= LARGEST_TURN**2)
+    return jnp.any(jnp.sum(jnp.stack(turns) ** 2, 1) >= largest**2)
 
 
 def astray(scene: Scene, states: State, allowed: float) -> bool:

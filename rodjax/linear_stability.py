@@ -12,7 +12,7 @@ from rodjax.admissible import Admissible, admissible, damping_matrix, mass_matri
 from rodjax.arguments import check_motion
 from rodjax.compilation import compiled
 from rodjax.eigenvalues import grows, lowest
-from rodjax.load_path import check_held
+from rodjax.rigid_motions import check_held
 from rodjax.scene import Scene
 from rodjax.state import State
 

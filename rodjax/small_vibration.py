@@ -11,7 +11,7 @@ from rodjax.arguments import check_motion
 from rodjax.compilation import compiled
 from rodjax.eigenvalues import lowest
 from rodjax.linear_stability import check_count
-from rodjax.load_path import check_held
+from rodjax.rigid_motions import check_held
 from rodjax.scene import Scene
 from rodjax.start_checks import check_single_precision
 from rodjax.state import State

@@ -11,6 +11,7 @@ schedules say at t(p). The start x_0 solves it at p = 0 whatever it is.
 from typing import NamedTuple
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
@@ -51,6 +52,7 @@ class StaticEquations(eqx.Module):
     time: Float[Array, ""]
     max_rotation: Float[Array, ""]
     ramp: Ramp
+    resistance: Float[Array, "nodes 6"] | None = None
 
     @property
     def scales(self) -> Scales:
@@ -96,6 +98,9 @@ class StaticEquations(eqx.Module):
         wrench, constraint = static_balance(scene, motion, self.force(x), ramp.factor)
         start, left = ramp.imbalance, 1 - ramp.factor
         wrench = wrench - left * jnp.concatenate([start.force, start.moment], 1)
+        if self.resistance is not None:
+            change = jnp.concatenate([x[:, :3] * scales.length, x[:, 6:]], 1)
+            wrench = wrench + self.resistance * change
         constraint = constraint - left * start.constraint
         unit = jnp.repeat(jnp.stack([scales.force, scales.force * scales.length]), 3)
         wrench = wrench / unit[None]
@@ -111,6 +116,10 @@ class StaticEquations(eqx.Module):
             scene.rod, motion.position, motion.quaternion, self.force(x)
         )
         node = load_tangent(scene, motion, self.ramp.factor)
+        if self.resistance is not None:
+            resistance = jax.vmap(jnp.diag)(self.resistance)
+            turned = rotations.tangent_inverse(x[:, 6:])
+            node = node + resistance.at[:, 3:, 3:].set(resistance[:, 3:, 3:] @ turned)
         both = projectors(scene, self.start.time)
         blocks = balance.assemble(scene.rod, tangent, node, both, scales)
         nearby = None if scene.contact is None else find_nearby(scene, motion.position)
@@ -162,6 +171,13 @@ class StaticEquations(eqx.Module):
         """Largest displacement over the rod's length, or rotation [rad]."""
         shift = jnp.max(jnp.abs(dx[:, :3])) / self.scene.rod.elements
         return jnp.maximum(shift, jnp.max(jnp.abs(dx[:, 6:])))
+
+
+def moving_weight(scene: Scene) -> Float[Array, "nodes 6"]:
+    """Weights of the norm of motions: the integral of |displacement|^2/L^2 + |spin|^2 [1/m, m]."""
+    rod = scene.rod
+    spin = jnp.repeat(rod.node_length[:, None], 3, 1)
+    return jnp.concatenate([spin / jnp.sum(rod.length) ** 2, spin], 1)
 
 
 def at_rest(time, position, quaternion) -> NodeMotion:

@@ -24,7 +24,7 @@ from rodjax.scene import Scene
 from rodjax.start_checks import held_twice
 from rodjax.state import State
 from rodjax.step_equations import StepEquations
-from rodjax.strains import relative_rotation
+from rodjax.strains import wound
 
 
 class StepInfo(NamedTuple):
@@ -65,9 +65,6 @@ def no_info(dtype) -> StepInfo:
 # Steps after a constraint began that are taken with spectral radius 0: its shock excites modes
 # that no step of practical size resolves, and without damping they ring on in the forces.
 SETTLING_STEPS = 4
-
-# Real part of an element's relative rotation beyond which it is refused: 0.9 of a revolution.
-_FULLY_WOUND = -0.95
 
 
 def prepare(scene: Scene, state: State) -> State:
@@ -199,9 +196,7 @@ def advance_to(
             jnp.where(passed, Result.STRAND_PASSAGE, Result.SUCCESS),
             jnp.where(equations.nearby.near.overflow, Result.CAPACITY_OVERFLOW, Result.SUCCESS),
         )
-    # beyond one revolution an element's rotation vector jumps to the other side
-    wound = jnp.min(relative_rotation(new.quaternion)[:, 0]) < _FULLY_WOUND
-    turned_far = (largest(increment[:, 3:]) > jnp.pi) | wound
+    turned_far = (largest(increment[:, 3:]) > jnp.pi) | wound(new.quaternion)
     code = jnp.where(turned_far, Result.ROTATION_TOO_LARGE, Result.SUCCESS)
     code = join(solved.result, contact_code, code)
     if too_fast is not None:

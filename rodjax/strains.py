@@ -9,10 +9,13 @@ from typing import NamedTuple
 
 import jax.numpy as jnp
 from jax import lax
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from rodjax import rotations
 from rodjax.rod import Rod
+
+# Real part of an element's relative rotation beyond which it is refused: 0.9 of a revolution.
+_FULLY_WOUND = -0.95
 
 
 class Strains(NamedTuple):
@@ -26,6 +29,11 @@ class Strains(NamedTuple):
 def relative_rotation(quaternion: Float[Array, "nodes 4"]) -> Float[Array, "n 4"]:
     """q_i^-1 q_{i+1} of every element."""
     return rotations.multiply(rotations.conjugate(quaternion[:-1]), quaternion[1:])
+
+
+def wound(quaternion: Float[Array, "nodes 4"]) -> Bool[Array, ""]:
+    """Whether an element has turned by nearly a revolution, where its rotation vector jumps."""
+    return jnp.min(relative_rotation(quaternion)[:, 0]) < _FULLY_WOUND
 
 
 def halfway(relative: Float[Array, "n 4"]) -> Float[Array, "n 4"]:

@@ -1,0 +1,225 @@
+"""How many modes of a rod at rest are unstable, without computing any.
+
+The tangent with the internal forces as multipliers, M = [[K, B^T], [B, -C]] (C the compliance times
+the elements' lengths), has one negative eigenvalue for each of the 3n components of force and one
+for each unstable mode: negative ones of K + B^T C^-1 B on what the constraint allows. They are
+counted by block elimination: the negative eigenvalues of M are those of its pivots (Sylvester,
+Haynsworth). It is the cantilever's, clamped at node 0, of which every part is held; the motion of
+node 0 and the wrenches that hold the ends follow from a small bordered matrix (see `anchored`).
+
+Where strands touch, K is formed on the admissible motions instead and its eigenvalues counted.
+
+Loads without a potential (followers, dead end moments) have a tangent without symmetry. There the
+sign of its determinant tells whether the number of modes that diverge is odd; flutter is not seen.
+"""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jax import lax
+from jaxtyping import Array, Bool, Float, Int
+
+from rodjax import balance, rotations
+from rodjax.block_tridiagonal import BlockTridiagonal
+from rodjax.coupled import CoupledSystem, couple, find_nearby
+from rodjax.scene import Scene, projectors
+from rodjax.statics import StaticEquations, load_tangent, moving_weight
+
+# Rows of a block in the order of its columns: (force, constraint, moment).
+_ORDER = jnp.array([3, 4, 5, 0, 1, 2, 6, 7, 8])
+
+# Columns of a block that are motions of its node.
+_MOTION = jnp.array([0, 1, 2, 6, 7, 8])
+
+# How stiff what holds an end is, in scaled units: two clamps may hold the same thing twice.
+_END_COMPLIANCE = 1e-9
+
+
+class _Tangent(NamedTuple):
+    """A tangent and what it is made of."""
+
+    elements: balance.ElementTangent
+    node: Float[Array, "nodes 6 6"]
+    blocks: BlockTridiagonal  # free at both ends, rows in the order of the columns
+
+
+def neutral(scene: Scene, force: Float[Array, "n 3"]) -> Float[Array, ""]:
+    """What a mode's eigenvalue must be below to count as unstable: rounding of a neutral one [N].
+
+    The norm of modes is the integral of |spin|^2 + |displacement|^2/L^2.
+    """
+    rod = scene.rod
+    root = jnp.sqrt(jnp.finfo(force.dtype).eps)
+    elastic = jnp.mean(rod.stiffness[:, :2]) / jnp.sum(rod.length) ** 2
+    return root * (100 * elastic + jnp.max(jnp.abs(force)))
+
+
+def count_below(
+    equations: StaticEquations, x: Float[Array, "nodes 9"], levels: Float[Array, " k"]
+) -> Int[Array, " k"]:
+    """Number of modes of the second variation at x with eigenvalues below each of minus `levels`.
+
+    `levels` [N] in the norm of `neutral`.
+    """
+    tangent = _tangent(equations, x)
+    even = _asymmetry(equations, tangent.blocks) < 10 * jnp.sqrt(jnp.finfo(x.dtype).eps)
+
+    def by_elimination(_):
+        return jax.vmap(lambda level: _eliminated(equations, tangent, level, even))(levels)
+
+    contact = equations.scene.contact
+    if contact is None:
+        return by_elimination(None)
+    motion = equations.motion(x)
+    nearby = find_nearby(equations.scene, motion.position)
+    never = jnp.zeros((2, 6, 6), x.dtype)
+    coupling = couple(contact, nearby, motion, jnp.zeros_like(levels[0]), never, equations.scales)
+
+    def by_eigenvalues(_):
+        return _reduced(equations, tangent, coupling[1], levels, even)
+
+    return lax.cond(nearby.near.level > 0, by_eigenvalues, by_elimination, None)
+
+
+def _tangent(equations: StaticEquations, x) -> _Tangent:
+    scene, motion, force = equations.scene, equations.motion(x), equations.force(x)
+    elements = balance.element_tangent(scene.rod, motion.position, motion.quaternion, force)
+    node = load_tangent(scene, motion, equations.ramp.factor)
+    # by spins of the body a moment m that is not balanced leaves hat(m)/2 in the tangent; what the
+    # path's start lacks is none of the rod's loads
+    lacking = (1 - equations.ramp.factor) * equations.ramp.imbalance.moment
+    node = node.at[:, 3:, 3:].add(-0.5 * rotations.hat(lacking))
+    blocks = _ordered(equations, elements, node)
+    return _Tangent(elements, node, blocks)
+
+
+def _ordered(equations: StaticEquations, elements, node) -> BlockTridiagonal:
+    """The tangent of the rod free at both ends, in units in which it is a second derivative."""
+    rod, scales = equations.scene.rod, equations.scales
+    never = jnp.zeros((2, 6, 6), node.dtype)
+    blocks = balance.assemble(rod, elements, node, never, scales)
+    length = jnp.concatenate([scales.length[None], rod.length]) / scales.length
+    factor = jnp.ones((rod.elements + 1, 9, 1), node.dtype).at[:, :3, 0].set(length[:, None])
+    return jax.tree.map(lambda rows: (factor * rows)[:, _ORDER], blocks)
+
+
+def _symmetric(blocks: BlockTridiagonal) -> BlockTridiagonal:
+    return jax.tree.map(lambda a, b: 0.5 * (a + b), blocks, blocks.transpose())
+
+
+def _asymmetry(equations: StaticEquations, blocks: BlockTridiagonal) -> Float[Array, ""]:
+    """Largest entry of the antisymmetric part on motions that the ends allow (scaled)."""
+    odd = jax.tree.map(lambda a, b: a - b, blocks, blocks.transpose())
+    both = projectors(equations.scene, equations.start.time)
+    free = jnp.eye(6, dtype=both.dtype)[None] - both
+    free = (
+        jnp.broadcast_to(jnp.eye(9, dtype=both.dtype), (2, 9, 9))
+        .at[:, _MOTION[:, None], _MOTION]
+        .set(free)
+    )
+    diagonal = odd.diagonal.at[0].set(free[0] @ odd.diagonal[0] @ free[0])
+    diagonal = diagonal.at[-1].set(free[1] @ odd.diagonal[-1] @ free[1])
+    upper = odd.upper[:-1]
+    upper = upper.at[0].set(free[0] @ upper[0])
+    upper = upper.at[-1].set(upper[-1] @ free[1])
+    return jnp.maximum(jnp.max(jnp.abs(diagonal)), jnp.max(jnp.abs(upper)))
+
+
+def _negative(matrix: Float[Array, "*b k k"]) -> Int[Array, " *b"]:
+    """Number of negative eigenvalues of symmetric matrices, which a scaling leaves."""
+    scale = jnp.sqrt(jnp.max(jnp.abs(matrix), -1, keepdims=True))
+    scale = jnp.where(scale > 0, scale, 1.0)
+    scaled = matrix / scale / jnp.swapaxes(scale, -1, -2)
+    return jnp.sum((jnp.linalg.eigvalsh(scaled) < 0).astype(jnp.int32), -1)
+
+
+def _eliminated(equations: StaticEquations, tangent: _Tangent, level, even) -> Int[Array, ""]:
+    """`count_below` by block elimination."""
+    scene = equations.scene
+    node = tangent.node + level * jax.vmap(jnp.diag)(moving_weight(scene))
+    blocks = _ordered(equations, tangent.elements, node)
+    blocks = jax.tree.map(lambda a, b: jnp.where(even, a, b), _symmetric(blocks), blocks)
+    rest = jax.tree.map(lambda rows: rows[1:], blocks)
+    factors = rest.factorize()
+    eye = jnp.eye(9, dtype=node.dtype)[:, _MOTION]
+    columns = jnp.zeros((scene.rod.elements, 9, 12), node.dtype)
+    columns = columns.at[0, :, :6].set(blocks.lower[1][:, _MOTION]).at[-1, :, 6:].set(eye)
+    response = factors.solve(columns)
+    first = blocks.upper[0][_MOTION] @ response[0]
+    last = response[-1][_MOTION]
+    held, aside = projectors(scene, equations.start.time).astype(node.dtype)
+    unit = (1 + _END_COMPLIANCE) * jnp.eye(6, dtype=node.dtype)
+    own = blocks.diagonal[0][_MOTION[:, None], _MOTION] - first[:, :6]
+    zero = jnp.zeros_like(own)
+    border = jnp.block(
+        [
+            [own, held, -first[:, 6:] @ aside],
+            [held, held - unit, zero],
+            [-aside @ last[:, :6], zero, aside - unit - aside @ last[:, 6:] @ aside],
+        ]
+    )
+    expected = 3 * scene.rod.elements + 12
+    turned = lambda matrix: 0.5 * (matrix + jnp.swapaxes(matrix, -1, -2))
+    count = jnp.sum(_negative(turned(factors.inverse))) + _negative(turned(border)) - expected
+    sign = jnp.prod(jnp.linalg.slogdet(factors.inverse)[0]) * jnp.linalg.slogdet(border)[0]
+    odd = sign * (-1) ** expected < 0
+    return jnp.where(even, count, odd.astype(jnp.int32))
+
+
+def _reduced(
+    equations: StaticEquations, tangent: _Tangent, coupling, levels, even: Bool[Array, ""]
+) -> Int[Array, " k"]:
+    """`count_below` by the eigenvalues on admissible motions (see `linear_stability`)."""
+    scene, scales = equations.scene, equations.scales
+    rod = scene.rod
+    n, dtype = rod.elements, levels.dtype
+    never = jnp.zeros((2, 6, 6), dtype)
+    blocks = balance.assemble(rod, tangent.elements, tangent.node, never, scales)
+    system = CoupledSystem(blocks, coupling)
+    elements = tangent.elements
+    spinning = 3 * n + 6
+
+    def expand(y):
+        """Displacements over l and spins of the nodes for (u_0 / l, spins, g)."""
+        spins = y[3:spinning].reshape(n + 1, 3)
+        pair = jnp.concatenate([spins[:-1], spins[1:]], 1)
+        stretch = -jnp.einsum("nij,nj->ni", elements.constraint_spin, pair)
+        if rod.compliance is not None:
+            stretch = stretch + y[spinning:].reshape(n, 3)
+        edge = (rod.length / scales.length)[:, None] * jnp.einsum(
+            "nij,nj->ni", elements.frame, stretch
+        )
+        shift = jnp.cumsum(jnp.concatenate([y[None, :3], edge]), 0)
+        return jnp.concatenate([shift, spins], 1)
+
+    size = spinning + (0 if rod.compliance is None else 3 * n)
+    basis = jax.vmap(expand)(jnp.eye(size, dtype=dtype))
+    columns = jnp.concatenate(
+        [basis[:, :, :3], jnp.zeros_like(basis[:, :, :3]), basis[:, :, 3:]], 2
+    )
+    pushed = jax.vmap(system.multiply)(columns)[:, :, 3:]
+    flat = basis.reshape(size, -1)
+    stiffness = flat @ pushed.reshape(size, -1).T
+    weight = moving_weight(scene) / (scales.force * scales.length)
+    unit = jnp.repeat(jnp.stack([scales.length**2, jnp.ones_like(scales.length)]), 3)
+    weight = (flat * (weight * unit[None]).ravel()[None]) @ flat.T
+    far = 2 * jnp.max(jnp.sum(jnp.abs(stiffness), 1))
+    if rod.compliance is not None:
+        give = rod.compliance.ravel()
+        spring = jnp.repeat(rod.length, 3) / jnp.where(give > 0, give, 1.0)
+        spring = jnp.where(give > 0, spring / (scales.force * scales.length), far)
+        stiffness = stiffness + jnp.diag(jnp.pad(spring, (spinning, 0)))
+    both = projectors(scene, equations.start.time).astype(dtype)
+    rows = [both[i] @ basis[:, j].T for i, j in ((0, 0), (1, -1))]
+    rows = jnp.concatenate(rows)
+    rows = jnp.linalg.pinv(rows, rtol=1e-9) @ rows
+    keep = jnp.eye(size, dtype=dtype) - rows
+
+    def below(level):
+        matrix = keep @ (stiffness + level * weight) @ keep + far * rows
+        count = _negative(0.5 * (matrix + matrix.T))
+        odd = jnp.linalg.slogdet(matrix)[0] < 0
+        return jnp.where(even, count, odd.astype(jnp.int32))
+
+    return jax.vmap(below)(levels)

@@ -1,0 +1,123 @@
+"""Load paths stay on the branch that they lead along, and unstable ends of paths are said."""
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from rodjax.ends import Clamped, Free, Slider, Turn
+from rodjax.linear_stability import stability
+from rodjax.load_path import equilibrium, placing
+from rodjax.loads import PointLoad
+from rodjax.results import ModelWarning, Result
+from rodjax.rod import Section, straight_rod
+from rodjax.scene import Scene
+from rodjax.schedules import Constant, PiecewiseLinear
+
+EULER = np.pi**2 / 4
+ELEMENTS = 20
+
+
+def column(thrust, crooked=0.0, side=0.0):
+    """A clamped column of unit length and stiffness under a dead thrust at its tip."""
+    rod = straight_rod(
+        1.0, ELEMENTS, Section((1.0, 1.0, 0.8), mass=1.0), natural_curvature=(crooked, 0.0, 0.0)
+    )
+    return Scene(rod, Clamped(), Free(), (PointLoad(-1, Constant((side, 0.0, -thrust))),))
+
+
+def elastica(thrust):
+    """Height of the tip of a column bent by a thrust beyond Euler's (elliptic integrals)."""
+    from scipy.optimize import brentq
+    from scipy.special import ellipe, ellipk
+
+    root = np.sqrt(thrust)
+    p = brentq(lambda p: ellipk(p**2) - root, 1e-6, 1 - 1e-9)
+    return 2 * ellipe(p**2) / root - 1
+
+
+@pytest.mark.parametrize("thrust", [1.5, 3.0])
+@pytest.mark.parametrize("crooked", [1e-1, 1e-3])
+@pytest.mark.parametrize("load_steps", [1, 10])
+def test_a_crooked_column_ends_bent(thrust, crooked, load_steps):
+    scene = column(thrust * EULER, crooked)
+    state, info = equilibrium(scene, placing(scene), load_steps=load_steps)
+    assert int(info.unstable) == 0
+    # the imperfection and the grid change it a little
+    assert float(state.position[-1, 2]) == pytest.approx(elastica(thrust * EULER), abs=0.03)
+    assert float(jnp.max(jnp.abs(state.position[:, :2]))) > 0.3
+
+
+def test_a_perfect_column_stays_straight_and_says_so():
+    scene = column(1.5 * EULER)
+    with pytest.warns(ModelWarning, match=r"2 unstable mode\(s\) that nothing in the scene"):
+        state, info = equilibrium(scene, placing(scene))
+    assert int(info.unstable) == 2
+    np.testing.assert_allclose(state.position, scene.rod.position, atol=1e-12)
+    # knowingly: no warning
+    knowing, info = equilibrium(scene, placing(scene), relax=False)
+    assert int(info.unstable) == 2 and info.result == Result.SUCCESS
+    # and with less than Euler's load nothing is unstable
+    _, info = equilibrium(column(0.99 * EULER), placing(scene))
+    assert int(info.unstable) == 0
+
+
+def test_a_perfect_column_relaxes_to_the_elastica():
+    scene = column(1.5 * EULER)
+    state, info = equilibrium(scene, placing(scene), relax=True)
+    assert int(info.unstable) == 0 and int(info.descent) > 0
+    assert float(state.position[-1, 2]) == pytest.approx(elastica(1.5 * EULER), abs=2e-3)
+    assert stability(scene, state, 2).eigenvalues[0] > -1e-6
+    # from the straight state too
+    straight, _ = equilibrium(scene, placing(scene), relax=False)
+    again, info = equilibrium(scene, straight, relax=True)
+    assert float(again.position[-1, 2]) == pytest.approx(float(state.position[-1, 2]), abs=1e-8)
+
+
+def test_unloaded_it_is_straight_again():
+    """Back along the load, past Euler's, from the bent branch; the state is the start's."""
+    rod = column(0.0, 1e-2).rod
+    thrust = PiecewiseLinear([0.0, 1.0], [[0.0, 0.0, 0.0], [0.0, 0.0, -2 * EULER]])
+    scene = Scene(rod, Clamped(), Free(), (PointLoad(-1, thrust),))
+    unloaded, _ = equilibrium(scene, placing(scene), time=0.0)
+    bent, _ = equilibrium(scene, placing(scene), time=1.0)
+    assert float(bent.position[-1, 2]) < 0.5
+    back, info = equilibrium(scene, bent, time=0.0)
+    np.testing.assert_allclose(back.position, unloaded.position, atol=1e-8)
+    assert float(back.time) == 0.0 and int(info.unstable) == 0
+
+
+def test_a_twisted_rod_leaves_its_axis_beyond_the_critical_turns():
+    """Between a clamp and a slider: 2 pi 1.4303 / C turns without tension."""
+
+    def ended(turns, imperfection):
+        section = Section((1.0, 1.0, 0.8), mass=1.0)
+        rod = straight_rod(1.0, ELEMENTS, section, natural_curvature=(imperfection, 0.0, 0.0))
+        turn = Turn((0, 0, 1), PiecewiseLinear([0.0, 1.0], [0.0, 2 * np.pi * turns]))
+        scene = Scene(rod, Clamped(), Slider((0, 0, 1), rotation=turn))
+        state, info = equilibrium(scene, placing(scene), time=1.0, throw=False)
+        return state, info
+
+    below, info = ended(1.7, 1e-2)
+    assert int(info.unstable) == 0 and float(jnp.abs(below.position[:, :2]).max()) < 0.02
+    for imperfection in (1e-1, 1e-2):
+        state, info = ended(1.9, imperfection)
+        assert info.result == Result.SUCCESS and int(info.unstable) == 0
+        assert float(jnp.abs(state.position[:, :2]).max()) > 0.05
+
+
+@pytest.mark.parametrize("side", [1e-2, 1e-3])
+def test_a_strip_under_a_tip_force_buckles_sideways(side):
+    """Prandtl's strip: 4.0126 sqrt(A C)/L^2 at the tip."""
+    critical = 4.0126 * np.sqrt(0.7)
+    rod = straight_rod(
+        1.0, ELEMENTS, Section((1.0, 100.0, 0.7), mass=1.0), (1, 0, 0), first_director=(0, 0, 1)
+    )
+    load = lambda factor, side: PointLoad(-1, Constant((0.0, side, -factor * critical)))
+    scene = Scene(rod, Clamped(), Free(), (load(1.1, side),))
+    state, info = equilibrium(scene, placing(scene))
+    assert int(info.unstable) == 0
+    assert float(state.position[-1, 1]) > 0.2
+    upright = eqx.tree_at(lambda s: s.loads, scene, (load(1.1, 0.0),))
+    with pytest.warns(ModelWarning, match=r"1 unstable mode\(s\)"):
+        equilibrium(upright, placing(scene))

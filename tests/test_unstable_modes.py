@@ -1,0 +1,66 @@
+"""Number of unstable modes from the elimination, against theory and against eigenvalues."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from rodjax.balance import Internal
+from rodjax.ends import Clamped, Free, Pinned, Slider
+from rodjax.load_path import placing
+from rodjax.loads import PointLoad
+from rodjax.rod import Section, straight_rod
+from rodjax.scene import Scene
+from rodjax.schedules import Constant
+from rodjax.statics import Ramp, StaticEquations
+from rodjax.unstable_modes import count_below, neutral
+
+ELEMENTS = 40
+
+
+@jax.jit
+def counted(scene, state, levels):
+    """Modes of an equilibrium whose eigenvalues lie below minus the levels (0: unstable ones)."""
+    zero = jnp.zeros_like(state.position)
+    one = jnp.ones(())
+    ramp = Ramp(one, Internal(zero, zero, jnp.zeros_like(state.force)))
+    equations = StaticEquations(scene, state, state.position, state.quaternion, one, one, ramp)
+    return count_below(
+        equations, equations.guess(state.force), levels + neutral(scene, state.force)
+    )
+
+
+def pressed(first, last, thrust, compliance=None):
+    """A straight column of unit length and stiffness under a thrust, and its state."""
+    section = Section((1.0, 1.0, 0.8), mass=1.0, compliance=compliance)
+    rod = straight_rod(1.0, ELEMENTS, section)
+    along = jnp.asarray([0.0, 0.0, -1.0])
+    node, sign = (0, -1.0) if isinstance(first, (Free, Slider)) else (-1, 1.0)
+    load = PointLoad(node, Constant(sign * thrust * along))
+    scene = Scene(rod, first, last, loads=(load,))
+    state = placing(scene)
+    return scene, eqx.tree_at(lambda s: s.force, state, state.force - jnp.asarray([0, 0, thrust]))
+
+
+SLIDER = Slider((0, 0, 1))
+# critical thrusts of each plane in units of pi^2; clamped and sliding: 4, 8.183 (tan x = x), 16
+ENDS = {
+    "clamped-free": (Clamped(), Free(), [0.25, 2.25, 6.25]),
+    "free-clamped": (Free(), Clamped(), [0.25, 2.25, 6.25]),
+    "clamped-slider": (Clamped(), SLIDER, [4.0, 8.1830, 16.0]),
+    "slider-clamped": (SLIDER, Clamped(), [4.0, 8.1830, 16.0]),
+    "slider-pinned": (SLIDER, Pinned(), [2.0457, 6.0468]),
+    "pinned-slider": (Pinned(), SLIDER, [2.0457, 6.0468]),
+}
+
+
+@pytest.mark.parametrize("compliance", [None, (0.0, 1e-5, 1e-6)], ids=["stiff", "compliant"])
+@pytest.mark.parametrize("ends", ENDS)
+def test_columns_have_two_modes_more_beyond_each_critical_thrust(ends, compliance):
+    first, last, critical = ENDS[ends]
+    for number, thrust in enumerate(critical):
+        for factor, modes in ((0.95, 2 * number), (1.05, 2 * number + 2)):
+            scene, state = pressed(first, last, factor * thrust * np.pi**2, compliance)
+            found = counted(scene, state, jnp.zeros(1))
+            assert int(found[0]) == modes, (factor, thrust)
