@@ -164,7 +164,7 @@ def _eliminated(equations: StaticEquations, tangent: _Tangent, level, even) -> I
     count = jnp.sum(_negative(turned(factors.inverse))) + _negative(turned(border)) - expected
     sign = jnp.prod(jnp.linalg.slogdet(factors.inverse)[0]) * jnp.linalg.slogdet(border)[0]
     odd = sign * (-1) ** expected < 0
-    return jnp.where(even, count, odd.astype(jnp.int32))
+    return jnp.where(even, count.astype(jnp.int32), odd.astype(jnp.int32))
 
 
 def _reduced(
@@ -220,6 +220,6 @@ def _reduced(
         matrix = keep @ (stiffness + level * weight) @ keep + far * rows
         count = _negative(0.5 * (matrix + matrix.T))
         odd = jnp.linalg.slogdet(matrix)[0] < 0
-        return jnp.where(even, count, odd.astype(jnp.int32))
+        return jnp.where(even, count.astype(jnp.int32), odd.astype(jnp.int32))
 
     return jax.vmap(below)(levels)
