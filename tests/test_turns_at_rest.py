@@ -1,5 +1,7 @@
 """What ends turn by along a load path: no turn is lost, and what cannot be held is refused."""
 
+import functools
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -8,7 +10,8 @@ import pytest
 from rodjax import measures
 from rodjax.ends import Clamped, Free, Slider, Turn
 from rodjax.energy import reactions
-from rodjax.load_path import equilibrium, placing
+from rodjax.load_path import equilibrium as stable_equilibrium
+from rodjax.load_path import placing
 from rodjax.loads import PointLoad
 from rodjax.results import Result
 from rodjax.rod import Section, straight_rod
@@ -18,6 +21,8 @@ from rodjax.schedules import Constant, PiecewiseLinear
 C = 0.7
 ELEMENTS = 40
 SECTION = Section((1.0, 1.0, C), mass=1.0)
+# straight rods that a real one would leave, beyond 1.8 turns
+equilibrium = functools.partial(stable_equilibrium, relax=False)
 
 
 def turned(first, last, knots=(0.0, 0.4, 0.6, 1.0), part=(0.0, 0.4, 0.6, 1.0), elements=ELEMENTS):
