@@ -25,6 +25,7 @@ from rodjax import balance
 from rodjax.eigenvalues import far_above
 from rodjax.inertia import inertial_wrench, node_jacobian
 from rodjax.loads import total_wrench
+from rodjax.rod import Rod
 from rodjax.scene import Scene, projectors
 from rodjax.state import State
 from rodjax.statics import at_rest, moved, static_balance
@@ -64,12 +65,14 @@ def mean_bending(scene: Scene) -> Float[Array, ""]:
 def rate_of(scene: Scene) -> Float[Array, ""]:
     """The unit of frequencies, sqrt(A/m)/L^2 [1/s]; for a rod without mass with m = 1."""
     length = jnp.sum(scene.rod.length)
-    mass = 1.0 if scene.rod.mass is None else _total_mass(scene) / length
+    mass = 1.0 if scene.rod.mass is None else total_mass(scene.rod) / length
     return jnp.sqrt(mean_bending(scene) / mass) / length**2
 
 
-def _total_mass(scene: Scene) -> Float[Array, ""]:
-    return jnp.sum(scene.rod.mass * scene.rod.length)
+def total_mass(rod: Rod) -> Float[Array, ""]:
+    """Mass of the rod, which must have one [kg]."""
+    assert rod.mass is not None
+    return jnp.sum(rod.mass * rod.length)
 
 
 def admissible(scene: Scene, state: State) -> Admissible:
@@ -127,7 +130,7 @@ def mass_matrix(scene: Scene, state: State, motions: Admissible) -> Float[Array,
     motion = at_rest(state.time, state.position, state.quaternion)
     zero = jnp.zeros_like(state.rate)
     matrix = node_jacobian(lambda rate: inertial_wrench(scene, motion, rate), zero)
-    return motions.on_motions(_scaled(matrix / _total_mass(scene), scene))
+    return motions.on_motions(_scaled(matrix / total_mass(scene.rod), scene))
 
 
 def damping_matrix(scene: Scene, state: State, motions: Admissible) -> Float[Array, "m m"]:

@@ -104,8 +104,12 @@ def lowest(
     even = lambda: _symmetric_pairs(factored, wanted)
     general = lambda: _general_pairs(factored, c, wanted)
     values, left, right = lax.cond(symmetric, even, general)
-    work = jnp.einsum("ki,ij,kj->k", left, stiffness.astype(left.dtype), right)
-    work = work - values * jnp.einsum("ki,ij,kj->k", left, weight.astype(left.dtype), right)
+    # there may be fewer modes with weight: the others must not enter a derivative
+    finite = jnp.isfinite(values) & jnp.all(jnp.isfinite(left) & jnp.isfinite(right), 1)
+    x, y = (jnp.where(finite[:, None], vectors, 0.0) for vectors in (left, right))
+    work = jnp.einsum("ki,ij,kj->k", x, stiffness.astype(x.dtype), y)
+    weighed = jnp.einsum("ki,ij,kj->k", x, weight.astype(x.dtype), y)
+    work = work - jnp.where(finite, values, 0.0) * weighed
     gaps = jnp.abs(values[:, None] - values)
     near = jnp.sqrt(jnp.finfo(c.dtype).eps) * (jnp.abs(values) + factored.sigma)
     same = (gaps <= near[:, None]).astype(work.dtype)
@@ -122,6 +126,8 @@ def _symmetric_pairs(factored: _Factored, count: int):
     """Eigenvalues, left vectors (conjugated, with x^H W y = 1) and right vectors of S."""
     nu, z = jnp.linalg.eigh(_symmetric(factored.whitened(factored.weight)))
     nu, z = nu[::-1][:count], z[:, ::-1][:, :count]
+    rounding = len(factored.free) * jnp.finfo(nu.dtype).eps * nu[0]
+    nu = jnp.where(nu > rounding, nu, 0.0)  # without weight, mu is infinite
     y = _solve_upper(factored.lower, z).T @ factored.free
     y = lax.complex(y / jnp.sqrt(nu)[:, None], jnp.zeros_like(y))
     values = 1 / nu - factored.sigma
@@ -137,7 +143,7 @@ def _general_pairs(factored: _Factored, c: Float[Array, "m m"], count: int):
     weightless = jnp.abs(nu) <= len(c) * jnp.finfo(c.dtype).eps * jnp.max(jnp.abs(nu))
     inverse = 1 / jnp.where(weightless, 1.0, nu)
     order = jnp.argsort(jnp.where(weightless, jnp.inf, inverse.real))[:count]
-    values = inverse[order] - factored.sigma
+    values = jnp.where(weightless, jnp.inf, inverse)[order] - factored.sigma
     # left vectors from the inverse, orthogonal to the right ones also where values coincide
     left = jnp.linalg.inv(z)[order]
     left = jnp.linalg.solve(odd.T.astype(z.dtype), left.T)

@@ -26,11 +26,12 @@ class Stability(NamedTuple):
 
     - true (antisymmetry no more than rounding): eigenvalues are those of the second variation of
       the energy, real, and `stable` says that the lowest is positive.
-    - false (follower loads, dead end moments, drag in a current, a contact law without potential):
-      there is no energy to be least. Eigenvalues are those of the general problem and may be
-      complex; a real one that passes zero means divergence, as above, but none of them tells of
-      flutter. So `stable` is then judged by the motion itself, M x'' + D x' + K x = 0 with the
-      mass and the damping that the loads have: whether no solution grows.
+    - false (follower loads, dead end moments, drag in a current, a contact law without potential;
+      or a state that is not in equilibrium): there is no energy to be least. Eigenvalues are those
+      of the general problem and may be complex; a real one that passes zero means divergence, as
+      above, but none of them tells of flutter. So `stable` is then judged by the motion itself,
+      M x'' + D x' + K x = 0 with the mass and the damping that the loads have: whether no solution
+      grows.
 
     Attributes:
         eigenvalues, imaginary: real and imaginary parts [N].
@@ -106,8 +107,8 @@ def _stability(scene, state, count):
 def _grows(scene: Scene, state: State, motions: Admissible) -> Bool[Array, ""]:
     """Whether a small motion about the state grows."""
     damping = damping_matrix(scene, state, motions)
-    massless = scene.rod.mass is None
-    mass = None if massless else mass_matrix(scene, state, motions)
+    mass = None if scene.rod.mass is None else mass_matrix(scene, state, motions)
+    weight = damping if mass is None else mass
     # about the lowest eigenvalues of K by the weight, as the shifted problem wants
-    unit = 10 * jnp.max(motions.norm) / jnp.max(jnp.diag(damping if massless else mass))
+    unit = 10 * jnp.max(motions.norm) / jnp.max(jnp.diag(weight))
     return grows(motions.stiffness, damping, mass, motions.ends, unit)

@@ -6,7 +6,7 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool, Float
 
-from rodjax.admissible import admissible, mass_matrix, rate_of
+from rodjax.admissible import admissible, mass_matrix, rate_of, total_mass
 from rodjax.arguments import check_motion
 from rodjax.compilation import compiled
 from rodjax.eigenvalues import lowest
@@ -92,7 +92,7 @@ def _vibration(scene, state, count):
     found = lowest(motions.stiffness, mass, motions.ends, unit, count)
     rate = rate_of(scene)
     values = found.values * rate * rate
-    total = jnp.sqrt(jnp.sum(scene.rod.mass * scene.rod.length)) * jnp.sum(scene.rod.length)
+    total = jnp.sqrt(total_mass(scene.rod)) * jnp.sum(scene.rod.length)
     modes = lax.stop_gradient(motions.motion(scene, found.vectors) / total)
     return Vibration(
         values.real,

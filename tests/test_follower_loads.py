@@ -14,7 +14,7 @@ from numpy.polynomial import chebyshev
 from scipy.optimize import brentq
 
 from rodjax import rotations
-from rodjax.ends import Clamped
+from rodjax.ends import Clamped, Slider
 from rodjax.linear_stability import stability
 from rodjax.load_path import placing
 from rodjax.loads import DistributedLoad, LinearDrag, MorisonDrag, PointLoad
@@ -237,3 +237,18 @@ def test_values_that_coincide_have_their_mean_derivative():
     slopes = jax.grad(frequency)(jnp.zeros(2))
     both = (frequency(jnp.full(2, 1e-4)) - frequency(jnp.full(2, -1e-4))) / 2e-4
     np.testing.assert_allclose(slopes, 0.5 * both, rtol=1e-4)
+
+
+def test_modes_without_mass_leave_values_and_derivatives_alone():
+    # three elements between a clamp and a slider have one mode with mass in either plane
+    rod = straight_rod(1.0, 3, Section((1.0, 1.0, 0.8), mass=1.0))
+
+    def squared(mass, count):
+        scene = Scene(eqx.tree_at(lambda r: r.mass, rod, mass), Clamped(), Slider((0, 0, 1)))
+        return vibration(scene, placing(scene), count).squared
+
+    value, slope = jax.value_and_grad(lambda mass: squared(mass, 1)[0])(rod.mass)
+    assert 0 < float(value) < np.inf
+    # omega^2 goes as 1/m
+    np.testing.assert_allclose(jnp.sum(slope), -value, rtol=1e-9)
+    assert np.all(np.asarray(squared(rod.mass, 2)) < np.inf)
