@@ -11,8 +11,8 @@ def not_a_number(tree, failed: Bool[Array, "*k"]):
     """The tree with NaN for its floating point numbers where `failed` (along leading axes) holds.
 
     A loss built on what failed is NaN with a derivative that is NaN, in forward and reverse mode,
-    where `jnp.where` would give it the derivative 0. What is not asked of in the reverse pass gets
-    0, so a loss of the rest keeps the derivative it has.
+    where `jnp.where` would give it the derivative 0. What a loss does not ask of gets 0 in the
+    reverse pass.
     """
 
     def mark(leaf):

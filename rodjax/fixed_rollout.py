@@ -50,10 +50,9 @@ def rollout(
         save_every: store every so many steps; the number of steps must be a multiple.
         throw: raise `SimulationError` if a step fails. Either way the motion up to the failure
             is kept: the error's `.partial` is the run up to it; without the error the states
-            after it are not numbers (nor is the derivative of what is built on them; those before
-            keep theirs). A passage that shows only by the linking number of the whole run counts
-            from the first saved state that has it; steps that do not resolve the motion are
-            reported with all states.
+            after it are not numbers, nor is the derivative of what is built on them. A passage
+            that shows only by the linking number of the whole run counts from the first saved
+            state that has it; steps that do not resolve the motion are reported with all states.
 
     Differentiable in every array of scene, state, times and method, in forward and reverse mode;
     the reverse pass keeps of every step Newton's solution, of every `save_every` steps the state,

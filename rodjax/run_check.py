@@ -135,10 +135,11 @@ def _time(scene: Scene, run: Run, method) -> dict[str, Finding | None]:
     ratio = 0.0
     if motion > (1e-4 * length) ** 2:
         ratio = float(np.sqrt(squares(infos.error_position) / motion))
-    ledger = jax.tree.map(np.asarray, energy.ledger(scene, run))
-    strain = ledger.strain
-    moved = max(np.max(np.abs(ledger.work)), np.ptp(strain), np.max(ledger.kinetic))
-    part = float(np.max(np.abs(ledger.residual)) / moved) if moved > 0 else 0.0
+    ledger = energy.ledger(scene, run)
+    columns = (ledger.work, ledger.strain, ledger.kinetic, ledger.residual)
+    work, strain, kinetic, residual = map(np.asarray, columns)
+    moved = max(np.max(np.abs(work)), np.ptp(strain), np.max(kinetic))
+    part = float(np.max(np.abs(residual)) / moved) if moved > 0 else 0.0
     topics = {
         "local errors of the steps": _above(
             "local errors of the steps", ratio, STEPS,
@@ -152,7 +153,7 @@ def _time(scene: Scene, run: Run, method) -> dict[str, Finding | None]:
         ),
     }  # fmt: skip
     # a slow process, whose waves do not matter, has no kinetic energy to speak of
-    if np.max(ledger.kinetic) > 0.01 * np.ptp(strain) > 0:
+    if np.max(kinetic) > 0.01 * np.ptp(strain) > 0:
         lost, steps = numerical_damping.estimate(scene, run, float(method.spectral_radius))
         topics["numerical damping"] = _above(
             "numerical damping", lost, DAMPED,
