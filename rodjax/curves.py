@@ -14,7 +14,7 @@ from rodjax.validation import array_of, check_finite, check_numbers, known, show
 
 _MOST_POINTS = 2000
 _GAUSS = np.polynomial.legendre.leggauss(8)
-_NEWTON = 8  # iterations for the parameter at an arc length, from a guess that is nearly right
+_NEWTON = 5  # iterations for the parameter at an arc length, from a guess that is nearly right
 
 
 def along(curve: Callable, s: np.ndarray | Array) -> np.ndarray | Array:

@@ -83,7 +83,7 @@ def flat(build):
     )
 
 
-SHORT = ["direction", "half a turn", "profile and length", "curve and length", "points"]
+SHORT = ["half a turn", "profile and length", "curve and length"]
 LONG = [pytest.param(name, marks=pytest.mark.slow) for name in BUILDERS if name not in SHORT]
 
 
