@@ -203,10 +203,12 @@ def rodjax_run(until: float, elements: int, tighter: float) -> tuple[Series, Cos
     compile_adaptive_rollout(scene)
     first = start(scene)
     before = time.process_time(), time.perf_counter()
-    report = lambda part: print(
-        f"rodjax, {elements} elements: t = {float(part.states.time[-1]):.2f} s,"
-        f" {int(part.rejected)} rejected", file=sys.stderr, flush=True
-    )  # fmt: skip
+
+    def report(part):
+        reached = f"t = {part.states.time[-1]:.2f} s" if len(part.states.time) else "no step more"
+        said = f"rodjax, {elements} elements: {reached}, {int(part.rejected)} rejected"
+        print(said, file=sys.stderr, flush=True)
+
     run = adaptive_rollout(scene, first, until, control=control, on_chunk=report, throw=False)
     jax.block_until_ready(run.states)
     cost = Cost(

@@ -156,7 +156,8 @@ def adaptive_rollout(
     constraint that begins at `end_time` itself is left to the run resumed from there). The loop
     is compiled once, in calls of about a second; `on_chunk(part)` is called after each `chunk` of
     accepted steps (and for what an interruption leaves of one), for progress and storage, with a
-    `Run` of these steps (its states lack the start, its counts are those so far; see `join_runs`).
+    `Run` of these steps (its states lack the start, its counts are those so far; see `join_runs`;
+    none if the run fails before the first of them); `rodjax.storage.Recorder` keeps them.
     A chunk over which Tw + Wr jumped is dropped and the run fails by STRAND_PASSAGE. Not
     differentiable itself: replay `run.times[1:]` by `rollout`, whose derivative is exact for that
     schedule.
@@ -216,7 +217,7 @@ def adaptive_rollout(
             while not (now.done or now.switching or now.count >= size):
                 now = now.longer(pace.call(partial(some, now)))
             now = now.closed(scene, max_steps)
-            if on_chunk is not None and now.chunk_kept:
+            if on_chunk is not None and (now.chunk_kept or now.code is not Result.SUCCESS):
                 on_chunk(now.parts[-1])
     except KeyboardInterrupt as error:
         now = now._replace(code=Result.INTERRUPTED, done=True)

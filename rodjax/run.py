@@ -87,8 +87,10 @@ def join_runs(start: State, parts: list[Run]) -> Run:
     """
     if not parts:
         raise ValueError("parts: there is none")
-    ends = [np.asarray(start.time)[None], *(np.asarray(part.states.time) for part in parts)]
-    if np.any(np.diff(np.concatenate(ends)) <= 0):
+    times = [np.asarray(start.time)[None], *(np.asarray(part.states.time) for part in parts)]
+    with_start = any(len(part.states.time) > len(part.infos.result) for part in parts)
+    # equal after a failure, where the last good state may be repeated
+    if with_start or np.any(np.diff(np.concatenate(times)) < 0):
         raise ValueError(
             "parts: each must begin after the end of the one before, without the state it began"
             " from, as those given to on_chunk do; for a run and what resumed it, use"

@@ -54,10 +54,6 @@ def write_run(
                 f" {type(value).__name__}"
             )
     check_run(scene, run)
-    measures = others["measures"] or {}
-    for name in measure_units or {}:
-        if not isinstance(measures.get(name), jax.Array | np.ndarray | np.generic):
-            raise StorageError(f"measure_units: '{name}' is no array among the measures")
     with replacing(path) as file:
         file.attrs.update(format=FORMAT, format_version=FORMAT_VERSION, rodjax_version=version())
         file.attrs.update({f"unit_of_{k}": name for k, name in units._asdict().items()})
@@ -65,6 +61,8 @@ def write_run(
         for name, part in {"scene": scene, "run": run, **others}.items():
             write(file, name, part, name, units.time if name == "schedule" else None)
         for name, unit in (measure_units or {}).items():
+            if name not in (others["measures"] or {}) or name not in file["measures"]:
+                raise StorageError(f"measure_units: '{name}' is no array among the measures")
             file[f"measures/{name}"].attrs["units"] = unit
         frames = jnp.asarray(run.states.quaternion)
         kappa = _curvatures(scene.rod, frames)
