@@ -60,6 +60,7 @@ from rodjax.observations import Observations as Observations
 from rodjax.observations import positions_at as positions_at
 from rodjax.priors import LogNormalPrior as LogNormalPrior
 from rodjax.priors import NormalPrior as NormalPrior
+from rodjax.regridding import regrid as regrid
 from rodjax.results import Interrupted as Interrupted
 from rodjax.results import ModelWarning as ModelWarning
 from rodjax.results import Result as Result
@@ -167,6 +168,7 @@ __all__ = [
     "placing",
     "plot",
     "positions_at",
+    "regrid",
     "rollout",
     "rotations",
     "semidiscrete",

@@ -18,13 +18,22 @@ _ADAM = optax.adam(0.05)  # one for all calls, which then share a compiled progr
 
 
 class Minimum(NamedTuple):
-    """The smallest loss found, and its parameters."""
+    """The smallest loss found, and its parameters.
+
+    Attributes:
+        parameters: a pytree like the guess.
+        loss: the smallest.
+        steps: those taken.
+        evaluations: of the loss and its gradient, without those of line searches.
+        history: losses at the guess and after each step.
+        result: why the descent ended.
+    """
 
     parameters: PyTree
     loss: float
     steps: int
     evaluations: int
-    history: tuple[float, ...]  # losses at the guess and after each step
+    history: tuple[float, ...]
     result: FitResult
 
     def __repr__(self) -> str:

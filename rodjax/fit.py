@@ -130,9 +130,17 @@ def several_starts(
     """`least_squares` from several guesses at once, by `vmap`; the best of them is then finished.
 
     All starts step together until three trials have lowered none of their costs by a thousandth.
-    The guesses lie along the leading axis of every array; the other arguments, and what is
-    raised, are those of `least_squares`, except that a start may fail where another does not.
-    (Where one fails by a check, which does not say whose, the starts are evaluated one by one.)
+    Args:
+        guesses: pytree like a guess, with the starts along the leading axis of every array.
+        predict, observations, bounds, priors, robust: as in `least_squares`.
+        max_steps, tolerance, threshold, progress: as in `least_squares`.
+
+    A start may fail where another does not. (Where one fails by a check, which does not say whose,
+    the starts are evaluated one by one.)
+
+    Raises:
+        FitError: as `least_squares` does for the best of the starts; all of them fail.
+        ValueError: as `least_squares`, or the guesses are not of one number.
     """
     check_settings(max_steps, tolerance, threshold, progress)
     counts = {np.shape(leaf)[:1] for leaf in jax.tree.leaves(guesses)}

@@ -54,27 +54,50 @@ class Fit(NamedTuple):
     deviations hold to first order (through the slopes of the bounds), for noise as stated by the
     observations, or as estimated from the residuals where it is not (NaN without more data than
     determined combinations).
+
+    Attributes:
+        parameters: the best found, a pytree like the guess.
+        deviations: standard deviations, in the structure and units of the parameters; zero for
+            what is fixed.
+        covariance: (p, p) of the free parameters in the order of `names`; NaN beside the infinite
+            variances.
+        names: of the p free parameters' numbers, as 'stiffness[2]'.
+        labels: of the unknowns, as 'log stiffness[2]'.
+        at_bound: names of parameters that went to the end of their interval.
+        residuals: prediction - values, in their units; NaN where there is no value.
+        chi_squared: sum of the squares of the residuals, over their deviations if stated, or of
+            the robust loss; with that of the priors.
+        freedom: number of data, with those of priors, less that of determined combinations.
+        determined, undetermined: combinations of the unknowns, the best determined first.
+        steps: trials that lowered chi squared.
+        evaluations: of the prediction and its derivatives.
+        history: chi squared at the guess and after each step.
+        result: why the fit ended.
+        fixed: names of parameters held at the guess.
+        data_freedom: of the data alone: their number less what they, not the priors, determine.
+        prior_chi_squared: the priors' part of chi squared.
+        weights: of the data: 1 in full, less for outliers under a robust loss, 0 if missing.
     """
 
     parameters: PyTree
-    deviations: PyTree  # standard deviations, in the structure and units of the parameters
-    covariance: np.ndarray  # (p, p); NaN beside the infinite variances
-    names: tuple[str, ...]  # of the parameters
-    labels: tuple[str, ...]  # of the unknowns
-    at_bound: tuple[str, ...]  # names of parameters that went to the end of their interval
-    residuals: np.ndarray  # prediction - values; NaN where there is no value
-    chi_squared: float  # sum of the squares of the residuals, over their deviations if stated
-    freedom: int  # number of data, with those of priors, less that of determined combinations
+    deviations: PyTree
+    covariance: np.ndarray
+    names: tuple[str, ...]
+    labels: tuple[str, ...]
+    at_bound: tuple[str, ...]
+    residuals: np.ndarray
+    chi_squared: float
+    freedom: int
     determined: tuple[Combination, ...]
     undetermined: tuple[Combination, ...]
-    steps: int  # trials that lowered chi squared
+    steps: int
     evaluations: int
-    history: tuple[float, ...]  # chi squared at the guess and after each step
+    history: tuple[float, ...]
     result: FitResult
-    fixed: tuple[str, ...]  # names of parameters held at the guess; their deviations are zero
-    data_freedom: float  # of the data alone: their number less what they, not priors, determine
-    prior_chi_squared: float  # the priors' part of chi squared
-    weights: np.ndarray  # of the data: 1 in full, less for outliers (`robust`), 0 if missing
+    fixed: tuple[str, ...]
+    data_freedom: float
+    prior_chi_squared: float
+    weights: np.ndarray
 
     @property
     def reduced(self) -> float:

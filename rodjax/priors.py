@@ -21,7 +21,7 @@ class AbstractPrior(eqx.Module):
 
 
 class NormalPrior(AbstractPrior):
-    """Normally distributed about `mean`, in the parameter's units.
+    """Normally distributed about `mean` with the standard `deviation`, in the parameter's units.
 
     Numbers, or arrays with a number for each element of the parameter.
     """

@@ -12,7 +12,7 @@ from rodjax import rotations
 from rodjax.consistency import start
 from rodjax.ends import Clamped
 from rodjax.loads import Gravity
-from rodjax.regrid import regrid
+from rodjax.regridding import regrid
 from rodjax.rod import Section, curved_rod, straight_rod
 from rodjax.scene import Scene
 from rodjax.state import State
