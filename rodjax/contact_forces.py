@@ -9,28 +9,34 @@ from jax import lax
 from jaxtyping import Array, Bool, Float
 
 from rodjax.batching import largest, one_by_one
-from rodjax.contact import Contact, Sites, interpolate, sites, spread
+from rodjax.contact import Contact, Sites, along, interpolate, sites, spread
 from rodjax.contact_laws import PairProperties, continued
 from rodjax.rod import Rod
 from rodjax.screening import BLOCK, Near, search
 
 
-def _smooth_step(x):
+def smooth_step(x):
     """0 below 0, 1 above 1, C2 between."""
     x = jnp.clip(x, 0.0, 1.0)
     return x**3 * (10 - 15 * x + 6 * x**2)
 
 
-def window(contact: Contact, distance, cosine_a, cosine_b):
+def window(contact: Contact, distance, pair: PairProperties, cosines=()):
     """Smooth gate of a pair of points: near enough, and inside both apertures.
 
-    `cosine` is n.t, n the unit vector between the points, t the chord at either; inside means
-    |n.t| <= sin(theta/2). It fades over the whole aperture: an edge would have to be resolved by
-    the points, at several times their number for the same ripple of the force.
+    A law that vanishes by itself is not touched by the cut-off. `cosines` are n.t, n the unit
+    vector between the points, t the chord at either; inside means |n.t| <= sin(theta/2). It fades
+    over the whole aperture: an edge would have to be resolved by the points, at several times
+    their number for the same ripple of the force.
     """
-    close = _smooth_step((1 - distance / contact.cutoff) / contact.edge)
-    limit = jnp.sin(0.5 * contact.aperture) ** 2
-    inside = lambda c: _smooth_step(1 - c**2 / limit)
+    close = jnp.ones_like(distance)
+    if contact.law.extent(pair) is None:
+        close = smooth_step((1 - distance / contact.cutoff) / contact.edge)
+    if contact.acting_aperture is None:
+        return close
+    limit = jnp.sin(0.5 * contact.acting_aperture) ** 2
+    cosine_a, cosine_b = cosines
+    inside = lambda c: smooth_step(1 - c**2 / limit)
     # theta = pi is all space: no gate
     gate = jnp.where(
         limit > 1 - 10 * jnp.finfo(limit.dtype).eps, 1.0, inside(cosine_a) * inside(cosine_b)
@@ -66,7 +72,15 @@ def forces_and_derivative(
     by_velocity: Float[Array, ""],
 ) -> PairForces:
     """`pair_forces` with the derivative, at a cost that follows the number of pairs in use."""
-    return _in_use(joints, contact, where, near, velocities, by_velocity)
+    # what is no array in a law, as a network's activation, does not pass through `one_by_one`
+    arrays, rest = eqx.partition(contact, eqx.is_array)
+
+    def of(function):
+        whole = lambda joints, arrays, *given: function(joints, eqx.combine(arrays, rest), *given)
+        return whole
+
+    in_use = one_by_one(of(_pairs_in_use), easy=(of(_nothing_near), of(_no_pairs)))
+    return in_use(joints, arrays, where, near, velocities, by_velocity)
 
 
 def _pairs_in_use(joints, contact, where, near, velocities, by_velocity) -> PairForces:
@@ -99,9 +113,6 @@ def _nothing_near(joints, contact, where, near, velocities, by_velocity) -> Bool
     return near.count == 0
 
 
-_in_use = one_by_one(_pairs_in_use, easy=(_nothing_near, _no_pairs))
-
-
 @forces_and_derivative.def_jvp
 def _forces_and_derivative_jvp(primals, tangents):
     # a loop of unknown length has no reverse mode: derivatives take the scan
@@ -123,9 +134,9 @@ def pair_forces(
     x_b - x_a, velocities following positions by the factor `by_velocity`, is
         n g^T + (P/d)(I - n n^T),   g = (P_d - by_velocity P_c) n
             + (-P_c (w - d' n) + P_a (t_a - (n.t_a) n) + P_b (t_b - (n.t_b) n)) / d
-    with w the relative velocity and P_a, P_b the derivatives by the cosines of the apertures; by
-    the chord l t_a it is n P_a (n - (n.t_a) t_a)^T / l. Blocks of the list that are not in use
-    are skipped.
+    with w the relative velocity and P_a, P_b the derivatives by the cosines of the apertures, if
+    there are any; by the chord l t_a it is n P_a (n - (n.t_a) t_a)^T / l. Blocks of the list that
+    are not in use are skipped.
     """
     evaluate, rows, empty = _blocks(contact, where, near, joints, velocities, by_velocity)
     count = largest(near.count)
@@ -152,7 +163,7 @@ def _blocks(contact, where, near, joints, velocities, by_velocity):
 
     Forces are those on the four joints of every pair.
     """
-    count = contact.points_per_segment
+    count, screened = contact.points_per_segment, contact.acting_aperture is not None
     part = (jnp.arange(count, dtype=joints.dtype) + 0.5) / count
     one, other = jnp.broadcast_arrays(part[:, None], part[None, :])
     # x_b - x_a = sum_i mix[a, b, i] X_i over the four joints
@@ -174,7 +185,7 @@ def _blocks(contact, where, near, joints, velocities, by_velocity):
         pair = PairProperties(
             mean(where.diameter), None if where.mass is None else mean(where.mass)
         )
-        acts = jnp.abs(at_b(s, index) - at_a(s, index)) >= contact.excluded
+        acts = along(contact, where, at_a(s, index), at_b(s, index)) >= contact.excluded
         between = lambda v: jnp.einsum("abi,qik->kqab", mix, v[index])
         r, w = between(joints), between(velocities)
         squared = jnp.sum(r**2, 0)
@@ -183,43 +194,47 @@ def _blocks(contact, where, near, joints, velocities, by_velocity):
         distance = jnp.where(acts, jnp.sqrt(jnp.where(acts, squared, 1.0)), contact.cutoff)
         n = jnp.where(acts[None], r / distance[None], 0.0)
         opening = jnp.sum(n * w, 0)
-        corner = joints[index]  # (q, 4, 3)
-        chords = corner[:, 1::2] - corner[:, ::2]
-        lengths = jnp.sqrt(jnp.sum(chords**2, -1))
-        t = jnp.moveaxis(chords / lengths[..., None], 2, 0)[..., None, None]
-        ta, tb = t[:, :, 0], t[:, :, 1]
-        cosine_a, cosine_b = jnp.sum(n * ta, 0), jnp.sum(n * tb, 0)
+        cosines = ()
+        if screened:
+            corner = joints[index]  # (q, 4, 3)
+            chords = corner[:, 1::2] - corner[:, ::2]
+            lengths = jnp.sqrt(jnp.sum(chords**2, -1))
+            t = jnp.moveaxis(chords / lengths[..., None], 2, 0)[..., None, None]
+            tangents = t[:, :, 0], t[:, :, 1]
+            cosines = tuple(jnp.sum(n * t, 0) for t in tangents)
 
-        def magnitude(d, c, ca, cb):
+        def magnitude(d, c, *cosines):
             psi = continued(contact.law, d, c, pair)
-            return psi * window(contact, d, ca, cb) * where.spacing**2
+            return psi * window(contact, d, pair, cosines) * where.spacing**2
 
-        inputs = (distance, -opening, cosine_a, cosine_b)
+        inputs = (distance, -opening, *cosines)
         if by_velocity is None:
             p, h = jnp.where(acts, magnitude(*inputs), 0.0), None
         else:
 
             def slopes():
                 p, pull = jax.vjp(magnitude, *inputs)
-                p_d, p_c, p_a, p_b = (jnp.where(acts, g, 0.0) for g in pull(jnp.ones_like(p)))
+                p_d, p_c, *by_cosines = (jnp.where(acts, g, 0.0) for g in pull(jnp.ones_like(p)))
                 p = jnp.where(acts, p, 0.0)
                 over = p / distance
                 # numbers of the pairs of points beside vectors, whose components lead
-                p_d, p_c, p_a, p_b = (x[None] for x in (p_d, p_c, p_a, p_b))
-                c_a, c_b, along = (x[None] for x in (cosine_a, cosine_b, opening))
-                g = (p_d - by_velocity * p_c) * n + (
-                    p_a * (ta - c_a * n) + p_b * (tb - c_b * n) - p_c * (w - along * n)
-                ) / distance[None]
-                size_a, size_b = (lengths[None, :, k, None, None] for k in (0, 1))
-                by_a, by_b = p_a * (n - c_a * ta) / size_a, p_b * (n - c_b * tb) / size_b
-                return p, over, g - over[None] * n, by_a, by_b
+                p_d, p_c, along = (x[None] for x in (p_d, p_c, opening))
+                across, by_chords = -p_c * (w - along * n), []
+                if screened:
+                    p_a, p_b, c_a, c_b = (x[None] for x in (*by_cosines, *cosines))
+                    ta, tb = tangents
+                    size_a, size_b = (lengths[None, :, k, None, None] for k in (0, 1))
+                    across = p_a * (ta - c_a * n) + p_b * (tb - c_b * n) - p_c * (w - along * n)
+                    by_chords = [p_a * (n - c_a * ta) / size_a, p_b * (n - c_b * tb) / size_b]
+                g = (p_d - by_velocity * p_c) * n + across / distance[None]
+                return p, over, g - over[None] * n, *by_chords
 
             point, vector = jnp.zeros_like(distance), jnp.zeros_like(n)
-            nothing = lambda: (point, point, vector, vector, vector)
+            nothing = lambda: (point, point, *(vector for _ in range(3 if screened else 1)))
             # always so; but what a branch returns is stored, and XLA would otherwise evaluate it
             # anew for every one of the numbers below
-            p, over, g, by_a, by_b = lax.cond(first < near.count, slopes, nothing)
-            h = _by_joints(mix, n, over, g, by_a, by_b)
+            p, over, g, *by_chords = lax.cond(first < near.count, slopes, nothing)
+            h = _by_joints(mix, n, over, g, by_chords)
         force = jnp.einsum("abi,kqab->qik", mix, p[None] * n)
         ratio = jnp.min(jnp.where(p != 0, distance / pair.diameter, jnp.inf))
         return PairForces(force, h, ratio, jnp.sum(jnp.abs(p)))
@@ -231,20 +246,23 @@ def _blocks(contact, where, near, joints, velocities, by_velocity):
     return evaluate, rows, empty
 
 
-def _by_joints(mix, n, over, g, by_a, by_b) -> Float[Array, "q 4 4 3 3"]:
+def _by_joints(mix, n, over, g, by_chords) -> Float[Array, "q 4 4 3 3"]:
     """Minus the derivative of a block's forces by its joints, from those by distance and chords.
 
     By joint j the force on joint i changes by minus the sum over the points of
-    mix_i n (mix_j g + c_j)^T + mix_i mix_j over I, c_j that by the chord with an end at j.
+    mix_i n (mix_j g + c_j)^T + mix_i mix_j over I, c_j that by the chord with an end at j, if any.
     """
     block, points = n.shape[1], n.shape[2] * n.shape[3]
     mix = mix.reshape(points, 4)
     flat = lambda v: v.reshape(-1, block, points)
-    n, g, by_a, by_b = (flat(v) for v in (n, g, by_a, by_b))
-    chords = jnp.stack([-by_a, by_a, -by_b, by_b])  # (j, l, q, x)
+    n, g = flat(n), flat(g)
     at_j = mix.T[:, None, None, :]
+    by_j = at_j * g[None]
+    if by_chords:
+        by_a, by_b = (flat(v) for v in by_chords)
+        by_j = by_j + jnp.stack([-by_a, by_a, -by_b, by_b])  # (j, l, q, x)
     left = jnp.einsum("ikqx->qikx", at_j * n[None]).reshape(block, 12, points)
-    right = jnp.einsum("jlqx->qxjl", at_j * g[None] + chords).reshape(block, points, 12)
+    right = jnp.einsum("jlqx->qxjl", by_j).reshape(block, points, 12)
     outer = (left @ right).reshape(block, 4, 3, 4, 3)
     products = (mix[:, :, None] * mix[:, None, :]).reshape(points, 16)
     across = (flat(over)[0] @ products).reshape(block, 4, 4, 1, 1)
@@ -299,6 +317,7 @@ def report(
     velocity: Float[Array, "nodes 3"],
 ) -> ContactReport:
     """Contact forces and the smallest gap of a configuration, by a search of its own."""
+    contact = contact.fitted(rod, contact.closed)
     where = sites(contact, rod)
     near = search(contact, where, position)
     return _report(contact, rod, where, near, position, velocity)

@@ -13,6 +13,7 @@ import equinox as eqx
 import jax
 import jax.core
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from rodjax.validation import as_float, check_finite, check_not_negative, check_positive
@@ -40,6 +41,39 @@ class AbstractLaw(eqx.Module):
         """Whether the law needs the rod's mass per length."""
         return False
 
+    def default_aperture(self) -> float | None:
+        """Screening aperture [rad] of a `Contact` that is given none; None: all space.
+
+        An aperture weakens the force between strands that are not exactly side by side, leaves it
+        without potential and lets a tip through; only a law that was fitted with one needs it.
+        """
+        return None
+
+    def extent(self, pair: PairProperties) -> Array | None:
+        """Distance from which on psi is exactly zero [m], as for solids; None: it only fades.
+
+        The cut-off must not lie below it, and does not touch the law.
+        """
+        return None
+
+    def potential(self, distance, pair: PairProperties) -> Array:
+        """phi(d) with psi(d, 0) = -dphi/dd, per length of either strand [J/m^2].
+
+        A constant in it is of no account. Here it is integrated from d to one diameter.
+        """
+        start, end = jnp.log(distance), jnp.log(pair.diameter)
+        points, weights = (jnp.asarray(v, distance.dtype) for v in _GAUSS)
+        x = jnp.exp(start[..., None] + points * (end - start)[..., None])
+        wide = jax.tree.map(lambda v: jnp.asarray(v)[..., None], pair)
+        psi = self.repulsion(x, jnp.zeros_like(x), wide)
+        return (end - start) * jnp.sum(weights * x * psi, -1)
+
+
+_GAUSS = tuple(
+    0.5 * v + o for v, o in zip(np.polynomial.legendre.leggauss(32), (0.5, 0.0), strict=True)
+)
+"""Points in (0, 1) and weights."""
+
 
 def continued(law: AbstractLaw, distance, approach, pair: PairProperties):
     """psi(d, c), continued linearly below the law's smallest distance.
@@ -50,6 +84,16 @@ def continued(law: AbstractLaw, distance, approach, pair: PairProperties):
     at = jnp.maximum(distance, floor)
     value, slope = jax.jvp(lambda d: law.repulsion(d, approach, pair), (at,), (jnp.ones_like(at),))
     return value + slope * jnp.minimum(distance - floor, 0.0)
+
+
+def continued_potential(law: AbstractLaw, distance, pair: PairProperties):
+    """phi(d) of `continued` strands at rest [J/m^2]."""
+    floor = law.smallest(pair)
+    at = jnp.maximum(distance, floor)
+    still = jnp.zeros_like(at)
+    psi, slope = jax.jvp(lambda d: law.repulsion(d, still, pair), (at,), (jnp.ones_like(at),))
+    below = jnp.minimum(distance - floor, 0.0)
+    return law.potential(at, pair) - psi * below - 0.5 * slope * below**2
 
 
 class DampedInversePower(AbstractLaw):
@@ -88,6 +132,9 @@ class DampedInversePower(AbstractLaw):
     def uses_mass(self):
         return True
 
+    def default_aperture(self):
+        return 0.5 * np.pi
+
     def smallest(self, pair) -> Array:
         return (self.offset + self.gap_floor) * pair.diameter
 
@@ -99,6 +146,12 @@ class DampedInversePower(AbstractLaw):
         power = jnp.where(resting, 0.0, jnp.where(resting, 1.0, speed) ** self.k4)
         static = self.k1 * jnp.exp(-self.k2 * jnp.log(gap))
         return pair.mass / self.reference_spacing * (static + self.k3 / distance * approach * power)
+
+    def potential(self, distance, pair):
+        assert pair.mass is not None
+        gap = (distance - self.offset * pair.diameter) / pair.diameter
+        integral = _power_integral(gap, self.k2) * pair.diameter ** (1 - self.k2)
+        return pair.mass / self.reference_spacing * self.k1 * integral
 
 
 class InversePower(AbstractLaw):
@@ -116,6 +169,19 @@ class InversePower(AbstractLaw):
 
     def repulsion(self, distance, approach, pair):
         return self.strength * jnp.exp(-self.exponent * jnp.log(distance))
+
+    def potential(self, distance, pair):
+        integral = _power_integral(distance / pair.diameter, self.exponent)
+        return self.strength * pair.diameter ** (1 - self.exponent) * integral
+
+
+def _power_integral(x, exponent):
+    """Integral of x^-exponent from x to 1."""
+    above = exponent - 1
+    logarithm = -jnp.log(x)
+    usual = jnp.abs(above) > 1e-12
+    power = jnp.expm1(above * logarithm) / jnp.where(usual, above, 1.0)
+    return jnp.where(usual, power, logarithm)
 
 
 class LennardJones(AbstractLaw):
@@ -136,6 +202,10 @@ class LennardJones(AbstractLaw):
     def repulsion(self, distance, approach, pair):
         sixth = (self.range / distance) ** 6
         return 24 * self.energy / distance * (2 * sixth**2 - sixth)
+
+    def potential(self, distance, pair):
+        sixth = (self.range / distance) ** 6
+        return 4 * self.energy * (sixth**2 - sixth)
 
 
 class DebyeHueckel(AbstractLaw):
@@ -160,6 +230,9 @@ class DebyeHueckel(AbstractLaw):
         decay = jnp.exp(-distance / self.screening)
         return self.strength * decay * (1 / distance + 1 / self.screening) / distance
 
+    def potential(self, distance, pair):
+        return self.strength * jnp.exp(-distance / self.screening) / distance
+
 
 class Barrier(AbstractLaw):
     """Two solids: a smooth barrier that acts for D < d < D (1 + reach) and diverges at d = D.
@@ -179,10 +252,18 @@ class Barrier(AbstractLaw):
     def smallest(self, pair) -> Array:
         return pair.diameter * (1 + self.floor * self.reach)
 
+    def extent(self, pair) -> Array:
+        return pair.diameter * (1 + self.reach)
+
     def repulsion(self, distance, approach, pair):
         width = self.reach * pair.diameter
         y = jnp.minimum((distance - pair.diameter) / width, 1.0)
         return self.stiffness * width * ((y - 1) ** 2 / y + 2 * (y - 1) * jnp.log(y))
+
+    def potential(self, distance, pair):
+        width = self.reach * pair.diameter
+        y = jnp.minimum((distance - pair.diameter) / width, 1.0)
+        return -self.stiffness * (width * (y - 1)) ** 2 * jnp.log(y)
 
 
 class Penalty(AbstractLaw):
@@ -210,6 +291,9 @@ class Penalty(AbstractLaw):
     def smallest(self, pair) -> Array:
         return jnp.zeros_like(pair.diameter)
 
+    def extent(self, pair) -> Array:
+        return pair.diameter
+
     def repulsion(self, distance, approach, pair):
         depth = jnp.maximum(pair.diameter - distance, 0.0)
         width = self.softness * pair.diameter
@@ -217,3 +301,10 @@ class Penalty(AbstractLaw):
         indentation = jnp.where(begins, 0.5 * depth**2 / width, depth - 0.5 * width)
         rate = jnp.where(begins, depth / width, 1.0) * approach
         return self.stiffness * (indentation + self.relaxation * rate)
+
+    def potential(self, distance, pair):
+        depth = jnp.maximum(pair.diameter - distance, 0.0)
+        width = self.softness * pair.diameter
+        beyond = jnp.maximum(depth - width, 0.0)
+        soft = jnp.minimum(depth, width) ** 3 / (6 * width)
+        return self.stiffness * (soft + 0.5 * beyond * (beyond + width))

@@ -2,7 +2,8 @@
 
 The ledger says where the work of drives and loads went:
     W_drives + W_loads = change of (bending + torsion + axial + kinetic + gravity energy)
-                         + work done on contact + drag and damping losses + projection losses.
+                         + change of contact energy + losses of contact, drag and damping
+                         + projection losses.
 Every term is integrated for itself, none is a remainder; what the two sides differ by is the
 numerical loss of the time integration plus the error of the quadrature.
 """
@@ -16,6 +17,8 @@ from jaxtyping import Array, Float
 
 from rodjax import contact_forces, inertia, rotations
 from rodjax.compilation import compiled
+from rodjax.contact_energy import contact_energy as energy_of_contact
+from rodjax.contact_energy import has_potential
 from rodjax.loads import Gravity, LinearDrag, MorisonDrag, NodeMotion, total_wrench
 from rodjax.rod import Rod
 from rodjax.run import Run
@@ -86,6 +89,16 @@ def gravity_energy(scene: Scene, state: State) -> Float[Array, ""]:
     return energy
 
 
+def contact_energy(scene: Scene, state: State) -> Float[Array, ""]:
+    """What strands at rest have stored in the law between them [J], zero without contact.
+
+    Not a number where an aperture leaves the contact force without potential.
+    """
+    if scene.contact is None:
+        return jnp.zeros((), state.position.dtype)
+    return energy_of_contact(scene.contact, scene.rod, state.position)
+
+
 def contact_wrench(scene: Scene, state: State) -> Float[Array, "nodes 6"]:
     """What the scene's contact exerts on the nodes of this state.
 
@@ -142,7 +155,8 @@ class Ledger(NamedTuple):
     """Where the energy of a run is at its saved times; work and losses count from the first.
 
     Work is positive when it is done on the rod, except `contact_work`, which the rod does on its
-    contacts (stored there or lost); losses are positive when energy is lost.
+    contacts: stored there as `contact_energy` or lost. With an aperture, which leaves the forces
+    without potential, all of it counts as lost. Losses are positive when energy is lost.
 
     Attributes:
         time: [s]; all that follows [J].
@@ -152,10 +166,12 @@ class Ledger(NamedTuple):
         axial: stored in stretch and shear.
         kinetic: Eq. (6), with added mass.
         gravity: potential of the weight less buoyancy.
-        contact_work: done by the rod on its contacts.
+        contact_work: done by the rod on its contacts: stored there or lost.
         drag_loss: to `MorisonDrag`.
         damping_loss: to `LinearDrag`.
         projection_loss: kinetic energy lost where a constraint began.
+        contact_energy: stored between the strands.
+        contact_loss: to the damping of the contact law; all its work where nothing is stored.
     """
 
     time: Float[Array, " k"]
@@ -170,6 +186,8 @@ class Ledger(NamedTuple):
     drag_loss: Float[Array, " k"]  # of MorisonDrag
     damping_loss: Float[Array, " k"]  # of LinearDrag
     projection_loss: Float[Array, " k"]  # kinetic energy lost where a constraint began
+    contact_energy: Float[Array, " k"] | None = None  # None: of a file of an earlier version
+    contact_loss: Float[Array, " k"] | None = None  # part of contact_work
 
     @property
     def work(self) -> Float[Array, " k"]:
@@ -186,7 +204,11 @@ class Ledger(NamedTuple):
         """Work less everything that it is accounted to have become [J]: the numerical loss."""
         stored = self.strain + self.kinetic + self.gravity
         losses = self.drag_loss + self.damping_loss + self.projection_loss
-        return self.work - (stored - stored[0]) - self.contact_work - losses
+        if self.contact_energy is None or self.contact_loss is None:
+            losses = losses + self.contact_work
+        else:
+            stored, losses = stored + self.contact_energy, losses + self.contact_loss
+        return self.work - (stored - stored[0]) - losses
 
     @property
     def balance_error(self) -> Float[Array, ""]:
@@ -205,6 +227,7 @@ class _Acting(NamedTuple):
     drag: Float[Array, "nodes 6"] | None
     damping: Float[Array, "nodes 6"] | None
     contact: Float[Array, "nodes 6"] | None
+    contact_damping: Float[Array, "nodes 6"] | None  # what of it is lost
 
 
 def _acting(scene: Scene, state: State) -> _Acting:
@@ -221,7 +244,24 @@ def _acting(scene: Scene, state: State) -> _Acting:
         total(lambda load: isinstance(load, MorisonDrag)),
         total(lambda load: isinstance(load, LinearDrag)),
         touching,
+        None if touching is None else _contact_damping(scene, state, touching),
     )
+
+
+def _contact_damping(scene: Scene, state: State, touching: Float[Array, "nodes 6"]):
+    """What contact exerts beyond its forces at rest; all of it where these have no potential."""
+    assert scene.contact is not None
+    still = jnp.zeros_like(state.velocity)
+    force = contact_forces.report(scene.contact, scene.rod, state.position, still).force
+    resting = jnp.concatenate([force, jnp.zeros_like(force)], 1)
+    return touching - jnp.where(has_potential(scene.contact), resting, 0.0)
+
+
+def _stored_in_contact(scene: Scene, state: State) -> Float[Array, ""]:
+    """`contact_energy`, zero where there is no potential."""
+    if scene.contact is None:
+        return contact_energy(scene, state)
+    return jnp.where(has_potential(scene.contact), contact_energy(scene, state), 0.0)
 
 
 def _increment(before: State, after: State) -> Float[Array, "nodes 6"]:
@@ -264,7 +304,14 @@ def ledger(scene: Scene, run: Run) -> Ledger:
     states = run.states
 
     def energies(state):
-        parts = (bending_energy, torsion_energy, axial_energy, kinetic_energy, gravity_energy)
+        parts = (
+            bending_energy,
+            torsion_energy,
+            axial_energy,
+            kinetic_energy,
+            gravity_energy,
+            _stored_in_contact,
+        )
         return jnp.stack([part(scene, state) for part in parts])
 
     def interval(carry, after):
@@ -285,6 +332,7 @@ def ledger(scene: Scene, run: Run) -> Ledger:
                 -work(old.contact, new.contact),
                 _added_mass_loss(scene, before, after) - work(old.drag, new.drag),
                 -work(old.damping, new.damping),
+                -work(old.contact_damping, new.contact_damping),
             ]
         )
         return (after, new), (gains, energies(after))
@@ -302,4 +350,15 @@ def ledger(scene: Scene, run: Run) -> Ledger:
     lost = jnp.concatenate([jnp.zeros_like(lost[:1]), lost])
     total = jnp.cumsum(jnp.concatenate([gains, lost[:, None]], 1), 0)
     total = total - total[:1]
-    return Ledger(states.time, *total[:, :2].T, *stored.T, *total[:, 2:].T)
+    work, (contact_work, drag, damping, contact_loss, projection) = total[:, :2].T, total[:, 2:].T
+    return Ledger(
+        states.time,
+        *work,
+        *stored[:, :-1].T,
+        contact_work,
+        drag,
+        damping,
+        projection,
+        stored[:, -1],
+        contact_loss,
+    )

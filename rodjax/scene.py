@@ -15,7 +15,7 @@ from rodjax.contact import Contact
 from rodjax.ends import AbstractEnd, Free, check_end
 from rodjax.loads import AbstractLoad, LinearDrag
 from rodjax.rod import Rod
-from rodjax.validation import as_traced, check_instance
+from rodjax.validation import as_traced, check_instance, known
 
 
 def _with_arrays(part):
@@ -40,6 +40,26 @@ class Scene(eqx.Module):
     last_end: AbstractEnd = eqx.field(converter=_with_arrays, default=Free())
     loads: tuple[AbstractLoad, ...] = eqx.field(converter=_with_arrays, default=())
     contact: Contact | None = eqx.field(converter=_with_arrays, default=None)
+
+    def __post_init__(self):
+        if isinstance(self.contact, Contact) and isinstance(self.rod, Rod):
+            self.contact = self.contact.fitted(self.rod, self._closed())
+
+    def _closed(self) -> bool:
+        """Whether both ends are held at one place for good, as those of a ring."""
+        positions, diameter = self.rod.position, self.rod.diameter
+        if not (known(positions) and known(diameter) and positions.ndim == 2):
+            return False
+        gap = np.linalg.norm(np.asarray(positions[-1]) - np.asarray(positions[0]))
+        # nearer than any two solid strands
+        if not gap < 0.5 * np.min(np.asarray(diameter)):
+            return False
+        if not all(isinstance(end, AbstractEnd) and end.displacement is None for end in self.ends):
+            return False
+        with jax.ensure_compile_time_eval():
+            times = [jnp.asarray(0.0), *self.switch_times]
+            held = [end.projector(t)[:3, :3] for end in self.ends for t in times if known(t)]
+        return all(known(one) and np.array_equal(one, np.eye(3)) for one in held)
 
     def __check_init__(self):
         self._check_kinds()

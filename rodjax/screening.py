@@ -10,8 +10,9 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
+from rodjax import newton
 from rodjax.batching import largest, only_where
-from rodjax.contact import Contact, Sites, interpolate, levels
+from rodjax.contact import Contact, Sites, along, interpolate, levels
 from rodjax.contact_laws import PairProperties
 
 BLOCK = 32  # pairs that are evaluated together
@@ -51,7 +52,7 @@ def search(
     half times a pair's relative displacement, so that no strand tunnels between two searches.
     No derivative passes through.
     """
-    contact, where, position, displacement = lax.stop_gradient(
+    contact, where, position, displacement = newton.constant(
         (contact, where, position, displacement)
     )
     sizes = levels(contact, position.shape[0] - 1)
@@ -66,25 +67,28 @@ def search(
     s = jnp.mean(where.arc_length, 1)
     segment = jnp.arange(contact.segments)
     once = (segment[:, None] < segment[None, :]) & (
-        jnp.abs(s[:, None] - s[None, :]) + 2 * half >= contact.excluded
+        along(contact, where, s[:, None], s[None, :]) + 2 * half >= contact.excluded
     )
 
     def pairs():
         """Which pairs are near, by the reach and the apertures of each."""
-        chord = joints[1:] - joints[:-1]
-        chord = chord / jnp.sqrt(jnp.sum(chord**2, 1, keepdims=True))
         r = _separations(middles)
         distance = _norm(r)
         motion = 0.0 if moved is None else 1.5 * _norm(_separations(moved))
+        near = once & (distance < contact.cutoff + motion + 2 * half)
+        aperture = contact.acting_aperture
+        if aperture is None:
+            return near
+        chord = joints[1:] - joints[:-1]
+        chord = chord / jnp.sqrt(jnp.sum(chord**2, 1, keepdims=True))
         # inside an aperture: |r.t| cos(theta/2) <= |r - (r.t) t| sin(theta/2), within the slack
-        cosine, sine = jnp.cos(0.5 * contact.aperture), jnp.sin(0.5 * contact.aperture)
+        cosine, sine = jnp.cos(0.5 * aperture), jnp.sin(0.5 * aperture)
 
         def inside(t):
             along = jnp.abs(sum(rk * tk for rk, tk in zip(r, t, strict=True)))
             across = jnp.sqrt(jnp.maximum(distance**2 - along**2, 0.0))
             return along * cosine <= across * sine + 2 * half + motion
 
-        near = once & (distance < contact.cutoff + motion + 2 * half)
         near = near & inside([chord[:, None, k] for k in range(3)])
         return near & inside([chord[None, :, k] for k in range(3)])
 
@@ -159,8 +163,8 @@ def approach_limit(
     is bounded, so a far part of the rod moves freely. No derivative passes through.
     """
     x, dx = (lax.stop_gradient(interpolate(where, v)) for v in (position, change))
-    diameter, excluded, law = lax.stop_gradient((where.diameter, contact.excluded, contact.law))
-    arc_length = lax.stop_gradient(where.arc_length)
+    contact, where = newton.constant((contact, where))
+    diameter, excluded, arc_length = where.diameter, contact.excluded, where.arc_length
     count = contact.points_per_segment
     part = (jnp.arange(count, dtype=position.dtype) + 0.5) / count
 
@@ -175,12 +179,12 @@ def approach_limit(
         pair = lambda v: points(v, second)[:, None, :] - points(v, first)[:, :, None]
         r, w = pair(x), pair(dx)
         squared = jnp.sum(r**2, -1)
-        acts = jnp.abs(arc_length[second][:, None, :] - arc_length[first][:, :, None]) >= excluded
-        acts = acts & valid[:, None, None] & (squared > 0)
+        apart = along(contact, where, arc_length[first][:, :, None], arc_length[second][:, None, :])
+        acts = (apart >= excluded) & valid[:, None, None] & (squared > 0)
         distance = jnp.sqrt(jnp.where(squared > 0, squared, 1.0))
         closing = -jnp.sum(r * w, -1) / distance
         mean = 0.5 * (diameter[first][:, :, None] + diameter[second][:, None, :])
-        floor = law.smallest(PairProperties(mean, None))
+        floor = contact.law.smallest(PairProperties(mean, None))
         gap = jnp.maximum(distance - floor, 0.05 * mean)
         ratio = 0.7 * gap / jnp.where(closing > 0, closing, 1.0)
         return jnp.minimum(limit, jnp.min(jnp.where(acts & (closing > 0), ratio, 1.0)))

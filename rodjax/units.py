@@ -167,6 +167,8 @@ _TEMPLATES = {
     "Ledger.kinetic": "{energy}",
     "Ledger.gravity": "{energy}",
     "Ledger.contact_work": "{energy}",
+    "Ledger.contact_energy": "{energy}",
+    "Ledger.contact_loss": "{energy}",
     "Ledger.drag_loss": "{energy}",
     "Ledger.damping_loss": "{energy}",
     "Ledger.projection_loss": "{energy}",

@@ -72,7 +72,8 @@ def test_search_misses_no_pair_that_acts(bent):
             d = np.linalg.norm(r, axis=-1)
             cosines = [np.sum(r * chord[segment], -1) / d for segment in (a, b)]
             apart = np.abs(where.arc_length[b][None] - where.arc_length[a][:, None])
-            gate = forces_of.window(scene.contact, d, *cosines) * (apart >= scene.contact.excluded)
+            gate = forces_of.window(scene.contact, d, PAIR, cosines)
+            gate = gate * (apart >= scene.contact.excluded)
             if np.any(gate > 0):
                 acting.add((a, b))
     assert len(acting) > 5 and acting <= listed
@@ -243,7 +244,7 @@ def test_ripple_of_the_force_is_under_two_percent(name):
     phase = spacing * np.linspace(0, 1, 17)[:, None] + spacing * np.arange(-40, 41)
     r = jnp.asarray(np.sqrt(d**2 + phase**2))
     cosine = jnp.asarray(phase) / r
-    density = jax.vmap(jax.vmap(psi))(r) * forces_of.window(contact, r, cosine, cosine)
+    density = jax.vmap(jax.vmap(psi))(r) * forces_of.window(contact, r, PAIR, (cosine, cosine))
     force = np.sum(density * d / r, 1) * spacing
     assert np.ptp(force) < 0.02 * np.mean(force)
 

@@ -36,7 +36,7 @@ def looped(side, first_end=CLAMPED, last_end=CLAMPED):
         return np.array([side * 0.01 * angle, straight + radius * np.sin(angle),
                          radius * (1 - np.cos(angle))])  # fmt: skip
 
-    rod = curved_rod(curve, 1.0, 60, UNIT_SECTION)
+    rod = curved_rod(curve, 1.0, 60, dataclasses.replace(UNIT_SECTION, diameter=0.01))
     contact = Contact(LAW, segments=40, cutoff=0.02, pairs_per_segment=8)
     return Scene(rod, first_end, last_end, contact=contact)
 

@@ -1,0 +1,277 @@
+"""Contact in all space: forces with a potential, their exact values, round tips, rings."""
+
+import dataclasses
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from helpers import DIAMETER, LAWS, hairpin
+from scipy.integrate import quad
+from scipy.special import k1
+
+import rodjax as rx
+from rodjax import contact_laws, energy
+from rodjax.contact import sites
+from rodjax.contact_energy import contact_energy, has_potential, pair_energy
+from rodjax.contact_forces import report, window
+from rodjax.screening import search
+from rodjax.stepping import no_info
+
+report = eqx.filter_jit(report)
+contact_energy = eqx.filter_jit(contact_energy)
+
+
+class Wall(rx.AbstractLaw):
+    """A user's law with today's abstract methods alone."""
+
+    strength: float = 2.0
+
+    def repulsion(self, distance, approach, pair):
+        return self.strength * jnp.exp(-distance / pair.diameter) + 0.0 * approach
+
+    def smallest(self, pair):
+        return 0.2 * pair.diameter
+
+
+def wound():
+    """Two strands wound about each other, not side by side exactly, and a rod of their length."""
+    s = np.linspace(0, 0.4, 12)
+    turn = 12 * s
+    radius = 0.6 * DIAMETER
+    one = np.stack([radius * np.cos(turn), radius * np.sin(turn), s], 1)
+    two = np.stack([-radius * np.cos(turn), -radius * np.sin(turn), s + 0.01], 1)[::-1]
+    cap = [[0.004, 0.03, 0.45]]
+    position = jnp.asarray(np.concatenate([one, cap, two]))
+    section = rx.circular_section(DIAMETER, 1e6, 5e5, 1500.0)
+    return rx.straight_rod(0.96, 24, section), position
+
+
+def contact_of(law, **options):
+    options = {"segments": 24, "cutoff": 0.06, "points_per_segment": 3} | options
+    return rx.Contact(law, **options)
+
+
+@pytest.mark.parametrize("name", [*LAWS, "user"])
+def test_slope_of_a_pairs_energy_is_its_force(name):
+    """At all distances, also where the law is continued or fades; a user's law is integrated."""
+    contact = contact_of(Wall() if name == "user" else LAWS[name], aperture=np.pi)
+    d = jnp.linspace(0.05, 3.1, 150) * DIAMETER
+    pair = contact_laws.PairProperties(jnp.full_like(d, DIAMETER), jnp.full_like(d, 0.5))
+
+    @jax.jit
+    def both(d):
+        psi = contact_laws.continued(contact.law, d, jnp.zeros_like(d), pair)
+        slope = jax.grad(lambda d: jnp.sum(pair_energy(contact, d, pair)))(d)
+        return psi * window(contact, d, pair, (jnp.zeros_like(d), jnp.zeros_like(d))), -slope
+
+    force, slope = both(d)
+    assert np.max(np.abs(force)) > 0
+    np.testing.assert_allclose(slope, force, rtol=1e-9, atol=1e-9 * np.median(np.abs(force)))
+    assert float(pair_energy(contact, d, pair)[-1]) == 0
+
+
+def test_energy_of_a_law_that_fades():
+    """The integral of psi times the window, by an independent quadrature."""
+    law, cutoff, edge = LAWS["debye_hueckel"], 0.06, 0.25
+    pair = contact_laws.PairProperties(jnp.asarray(DIAMETER), None)
+
+    def psi(x):
+        u = np.clip((1 - x / cutoff) / edge, 0, 1)
+        decay = 0.1 * np.exp(-x / 0.02) * (1 / x + 1 / 0.02) / x
+        return decay * u**3 * (10 - 15 * u + 6 * u**2)
+
+    energy_at = jax.jit(lambda d: pair_energy(contact_of(law), d, pair))
+    for d in (0.005, 0.02, 0.05, 0.0599, 0.06, 0.07):
+        expected = quad(psi, d, cutoff, points=[0.045], epsrel=1e-10)[0] if d < cutoff else 0.0
+        assert float(energy_at(d)) == pytest.approx(expected, rel=1e-8, abs=1e-16)
+
+
+def test_force_is_the_slope_of_the_energy():
+    """Of nodes, by the exact derivative and by differences along one direction."""
+    rod, position = wound()
+    contact = contact_of(LAWS["debye_hueckel"]).fitted(rod)
+    found = report(contact, rod, position, jnp.zeros_like(position))
+    assert not found.overflow
+    slope = eqx.filter_jit(jax.grad(lambda x: contact_energy(contact, rod, x)))(position)
+    scale = float(jnp.max(jnp.abs(found.force)))
+    np.testing.assert_allclose(-slope, found.force, atol=1e-10 * scale)
+    way = jnp.asarray(np.random.default_rng(0).normal(size=position.shape))
+    h = 1e-7
+    up, down = (contact_energy(contact, rod, position + s * h * way) for s in (1, -1))
+    expected = -float(jnp.sum(found.force * way))
+    assert float(up - down) / (2 * h) == pytest.approx(expected, rel=1e-6)
+
+
+def test_default_aperture_is_the_laws():
+    """All space but for Eq. (13), whose force has no potential, as its energy says."""
+    assert contact_of(LAWS["damped"]).acting_aperture == pytest.approx(np.pi / 2)
+    assert not has_potential(contact_of(LAWS["damped"]))
+    assert has_potential(contact_of(LAWS["damped"], aperture=np.pi))
+    assert not has_potential(contact_of(LAWS["penalty"], aperture=3.1))
+    for law in (*(LAWS[name] for name in set(LAWS) - {"damped"}), Wall()):
+        assert has_potential(contact_of(law)) is True
+    rod, position = wound()
+    assert np.isnan(contact_energy(contact_of(LAWS["damped"]), rod, position))
+
+
+def asymmetry(contact, rod, position):
+    force = lambda x: report(contact, rod, x, jnp.zeros_like(x)).force
+    size = position.size
+    slope = np.asarray(eqx.filter_jit(jax.jacfwd(force))(position)).reshape(size, size)
+    return np.linalg.norm(slope - slope.T) / np.linalg.norm(slope + slope.T)
+
+
+def test_derivative_is_symmetric():
+    rod, position = wound()
+    law = LAWS["debye_hueckel"]
+    assert asymmetry(contact_of(law).fitted(rod), rod, position) < 1e-12
+    # what an aperture does to it
+    assert asymmetry(contact_of(law, aperture=np.pi / 2), rod, position) > 0.05
+
+
+def meeting(end, angle=np.pi / 2, beside=0.0):
+    """A straight strand along z through 0, and one in the plane y = beside that ends at `end`.
+
+    The second comes from +x at the angle to the first; between both is a wide detour.
+    """
+    first = [[0.0, 0.0, 0.05 * (i - 10)] for i in range(21)]
+    way = np.array([np.sin(angle), 0.0, np.cos(angle)])
+    last = [np.array([0.0, beside, 0.0]) + (0.05 * i + end) * way for i in range(20, -1, -1)]
+    start, stop = np.array(first[-1]), np.array(last[0])
+    a = np.linspace(0, 1, 21)[1:-1, None]
+    detour = start + a * (stop - start) + np.array([0.0, -2.0, 0.0]) * np.sin(np.pi * a)
+    position = jnp.asarray(np.concatenate([first, detour, last]))
+    section = rx.Section((1.0, 1.0, 0.8), mass=1.0, diameter=0.1)
+    return rx.straight_rod(3.0, 60, section), position
+
+
+def push(law, **shape):
+    """Force on the last 21 nodes, those of the second strand."""
+    rod, position = meeting(**shape)
+    contact = rx.Contact(law, 60, cutoff=0.12, points_per_segment=8)
+    found = report(contact.fitted(rod), rod, position, jnp.zeros_like(position))
+    assert not found.overflow
+    return np.asarray(found.force)[-21:].sum(0)
+
+
+@pytest.mark.parametrize("angle", [90, 60, 30])
+@pytest.mark.parametrize("distance", [0.9, 0.6, 0.2])
+def test_crossing_strands(angle, distance):
+    """2 pi d phi(d) / sin(angle), away from each other."""
+    law, pair = rx.Penalty(1e3), contact_laws.PairProperties(jnp.asarray(0.1), None)
+    d = 0.1 * distance
+    force = push(law, end=-0.5, angle=np.radians(angle), beside=d)
+    expected = (
+        2 * np.pi * d * float(law.potential(jnp.asarray(d), pair)) / np.sin(np.radians(angle))
+    )
+    assert force[1] == pytest.approx(expected, rel=0.02)
+    np.testing.assert_allclose(force[[0, 2]], 0.0, atol=0.02 * expected)
+
+
+@pytest.mark.parametrize("shift", [0.0, 0.02])
+def test_parallel_charged_strands(shift):
+    """Force per length 2 S K1(d/l)/l, the exact integral, wherever the points of either are."""
+    strength, length, d = 0.1, 0.02, 0.06
+    rod, position = meeting(end=0.0, angle=0.0)
+    position = position.at[-21:].add(jnp.asarray([d, 0.0, shift - 0.5]))
+    contact = rx.Contact(rx.DebyeHueckel(strength, length), 60, 12 * length, points_per_segment=4)
+    found = report(contact.fitted(rod), rod, position, jnp.zeros_like(position))
+    assert not found.overflow
+    force = -np.asarray(found.force)[9:12, 0].sum() / 0.15
+    assert force == pytest.approx(2 * strength * k1(d / length) / length, rel=5e-4)
+
+
+@pytest.mark.parametrize("gap", [0.09, 0.05, 0.0])
+def test_a_tip_pushed_into_a_strand_is_pushed_back(gap):
+    """Its cap is round: the force is that of the end point, the integral of phi over the strand."""
+    law, pair = rx.Penalty(1e3), contact_laws.PairProperties(jnp.asarray(0.1), None)
+    s = np.linspace(-0.1, 0.1, 4001)
+    phi = law.potential(jnp.hypot(gap, jnp.asarray(s)), pair)
+    expected = float(jnp.sum(phi) * (s[1] - s[0]))
+    assert push(law, end=gap)[0] == pytest.approx(expected, rel=0.05)
+
+
+def test_ends_of_a_ring_are_neighbours():
+    """Clamped to one point, they do not repel each other; the sides of an oval still do."""
+    radius = 0.1
+    circle = lambda s: jnp.stack(
+        [radius * jnp.sin(s / radius), 0 * s, radius - radius * jnp.cos(s / radius)]
+    )
+    section = rx.Section((1.0, 1.0, 0.8), mass=1.0, diameter=0.01)
+    rod = rx.curved_rod(circle, 2 * np.pi * radius, 32, section)
+    contact = rx.Contact(rx.DebyeHueckel(1.0, 0.005), 64, cutoff=0.04)
+    ring = rx.Scene(rod, rx.Clamped(), rx.Clamped(), contact=contact)
+    assert ring.contact.closed
+    still = jnp.zeros_like(rod.position)
+    assert float(report(ring.contact, rod, rod.position, still).total) == 0
+    flat = rod.position * jnp.asarray([1.0, 1.0, 0.12])
+    pressed = report(ring.contact, rod, flat, still)
+    assert float(pressed.total) > 0
+    # apart only where the strands are, a quarter along
+    assert float(jnp.max(jnp.abs(pressed.force[:3]))) < 0.2 * float(jnp.max(jnp.abs(pressed.force)))
+    for ends in ((rx.Clamped(), rx.Free()), (rx.Free(), rx.Free())):
+        assert not rx.Scene(rod, *ends, contact=contact).contact.closed
+    away = rx.Clamped(displacement=rx.Constant(jnp.zeros(3)))
+    assert not rx.Scene(rod, rx.Clamped(), away, contact=contact).contact.closed
+    hold = rx.Switched(rx.Free(), rx.Clamped(), 1.0)
+    assert not rx.Scene(rod, rx.Clamped(), hold, contact=contact).contact.closed
+
+
+def test_lists_hold_two_strands_by_default():
+    """Nobody has to choose pairs_per_segment, and what is given is kept."""
+    rod = hairpin(24, half_gap=0.015)
+    contact = rx.Contact(rx.DebyeHueckel(1.0, 0.02), 100, 0.2)
+    scene = rx.Scene(rod, rx.Clamped(), contact=contact)
+    found = search(scene.contact, sites(scene.contact, rod), rod.position)
+    assert int(found.count) > 4 * 101 and not found.overflow
+    assert scene.contact.pairs_per_segment is None
+    wider = dataclasses.replace(scene.contact, cutoff=jnp.asarray(0.25))
+    assert dataclasses.replace(scene, contact=wider).contact.room > scene.contact.room
+    assert scene.contact.room == jax.jit(lambda s: s.contact.room)(scene)
+    few = dataclasses.replace(contact, pairs_per_segment=1)
+    with pytest.raises(ValueError, match="^pairs_per_segment"):
+        rx.Scene(rod, rx.Clamped(), contact=few)
+
+
+def pressed(law, aperture=np.pi):
+    """Ledger of strands that are pressed together and let go again."""
+    rod = hairpin(12, half_gap=0.02)
+    contact = rx.Contact(law, 24, 0.03, points_per_segment=4, aperture=aperture)
+    scene = rx.Scene(rod, rx.Clamped(), rx.Clamped(), contact=contact)
+    parts = np.concatenate([np.linspace(0, 1, 41), np.linspace(1, 0, 41)[1:]])
+    times = np.linspace(0, 0.4, 81)
+
+    def at(part, rate, time):
+        place = rod.position.at[:, 0].multiply(1 - 0.62 * part)
+        zero = jnp.zeros((13, 6))
+        moving = zero.at[:, 0].set(-0.62 * rate * rod.position[:, 0])
+        force = jnp.zeros((12, 3))
+        return rx.State(jnp.asarray(time), place, rod.quaternion, moving, zero, zero, force)
+
+    rows = zip(parts, np.gradient(parts, times), times, strict=True)
+    states = jax.tree.map(lambda *leaves: jnp.stack(leaves), *[at(*row) for row in rows])
+    infos = jax.tree.map(lambda leaf: jnp.stack([leaf] * 80), no_info(jnp.float64))
+    zero = jnp.asarray(0, jnp.int32)
+    return energy.ledger(scene, rx.Run(states, infos, zero, zero, zero))
+
+
+def test_ledger_tells_what_contact_stored_from_what_it_lost():
+    """A spring gives back, a dashpot does not; with an aperture there is nothing to store."""
+    spring = pressed(rx.Penalty(1e6))
+    stored = np.asarray(spring.contact_energy)
+    assert stored[40] > 0
+    np.testing.assert_allclose(stored, stored[::-1], atol=1e-12 * stored[40])
+    np.testing.assert_array_equal(spring.contact_loss, 0)
+    np.testing.assert_allclose(spring.contact_work, stored - stored[0], atol=5e-3 * stored[40])
+    dashpot = pressed(rx.Penalty(1e6, relaxation=1e-2))
+    np.testing.assert_allclose(dashpot.contact_energy, stored, rtol=1e-12)
+    loss = np.asarray(dashpot.contact_loss)
+    assert loss[-1] > 0.05 * stored[40] and np.all(np.diff(loss) > -1e-12)
+    work = stored - stored[0] + loss
+    np.testing.assert_allclose(dashpot.contact_work, work, atol=5e-3 * stored[40])
+    screened = pressed(rx.Penalty(1e6), aperture=np.pi / 2)
+    np.testing.assert_array_equal(screened.contact_energy, 0)
+    np.testing.assert_array_equal(screened.contact_loss, screened.contact_work)
+    assert screened.contact_work[40] > 0
