@@ -12,7 +12,7 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Bool, Int
 
-from rodjax import drives, passages, results
+from rodjax import drives, overlap, passages, results
 from rodjax.arguments import check_end_time, check_motion
 from rodjax.coarseness import warn_if_hopeless
 from rodjax.compilation import compiled
@@ -109,10 +109,25 @@ class _Progress(NamedTuple):
             switching=bool(out.switching),
         )
 
+    def _kept(self, count: int) -> "_Progress":
+        """With the first steps of the chunk alone."""
+        pieces = jax.tree.map(lambda *parts: np.concatenate(parts)[:count], *self.pieces)
+        state = self.begun[0]
+        if count:
+            state = jax.tree.map(lambda leaf: jnp.asarray(leaf[-1]), pieces[0])
+        return self._replace(state=state, control=self.begun[1], pieces=(pieces,))
+
     def closed(self, scene: Scene, max_steps: int) -> "_Progress":
-        """With the chunk among the parts, unless a strand passed in it."""
+        """With the chunk among the parts, up to where strands overlap, unless one passed in it."""
         now, count = self, self.count
-        if count and passages.passed_unseen(scene, self.begun[0], self.state):
+        found = None
+        if count:
+            places = np.concatenate([states.position for states, _ in self.pieces])
+            found = overlap.first_overlap(scene, places)
+        if found is not None:
+            count = found[0]
+            now = now._kept(count)._replace(code=Result.CONTACT_OVERCOME, done=True)
+        elif count and passages.passed_unseen(scene, self.begun[0], self.state):
             # somewhere in this chunk, of which nothing is kept
             state, control = self.begun
             code, none = Result.STRAND_PASSAGE, (self._nothing(state),)
@@ -158,7 +173,8 @@ def adaptive_rollout(
     accepted steps (and for what an interruption leaves of one), for progress and storage, with a
     `Run` of these steps (its states lack the start, its counts are those so far; see `join_runs`;
     none if the run fails before the first of them); `rodjax.storage.Recorder` keeps them.
-    A chunk over which Tw + Wr jumped is dropped and the run fails by STRAND_PASSAGE. Not
+    A chunk over which Tw + Wr jumped is dropped and the run fails by STRAND_PASSAGE; where strands
+    overlap so far that the contact cannot hold them it ends by CONTACT_OVERCOME. Not
     differentiable itself: replay `run.times[1:]` by `rollout`, whose derivative is exact for that
     schedule.
     `compile_adaptive_rollout` compiles the loop beforehand.

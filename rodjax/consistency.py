@@ -21,6 +21,7 @@ from rodjax.block_tridiagonal import BlockTridiagonal
 from rodjax.compilation import compiled
 from rodjax.failure import not_a_number
 from rodjax.loads import NodeMotion, total_wrench
+from rodjax.overlap import check_apart
 from rodjax.scene import Scene, projectors
 from rodjax.state import State
 from rodjax.strains import Strains, relative_rotation, strains
@@ -52,7 +53,8 @@ def start(
 
     Raises:
         ValueError: a shape is wrong, a value not finite or too small for the rod's precision, the
-            rod is stretched, its ends hold it twice in some direction, or nothing resists its spin.
+            rod is stretched, its ends hold it twice in some direction, nothing resists its spin, or
+            strands are nearer to each other than the contact can hold them.
     """
     check_scene(scene)
     rod = scene.rod
@@ -94,6 +96,7 @@ def start(
     )
     start_checks.check_held_once(scene, state)
     start_checks.check_spin(scene, state)
+    check_apart(scene, state)
     new, _, gap = compiled_restart(scene, state)
     tolerance = 1e3 * float(jnp.finfo(dtype).eps) * nodes
     # negated, so that a frame of zero length (not a number here) is an error too

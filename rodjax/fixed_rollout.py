@@ -19,6 +19,7 @@ from rodjax.corners import warn_of_corners
 from rodjax.failure import not_a_number
 from rodjax.generalized_alpha import GeneralizedAlpha
 from rodjax.given_steps import onto_switches, run_given_steps, until_failure
+from rodjax.overlap import check_apart
 from rodjax.results import Result
 from rodjax.run import Run
 from rodjax.scene import Scene
@@ -50,9 +51,10 @@ def rollout(
         save_every: store every so many steps; the number of steps must be a multiple.
         throw: raise `SimulationError` if a step fails. Either way the motion up to the failure
             is kept: the error's `.partial` is the run up to it; without the error the states
-            after it are not numbers, nor is the derivative of what is built on them. A passage
-            that shows only by the linking number of the whole run counts from the first saved
-            state that has it; steps that do not resolve the motion are reported with all states.
+            after it are not numbers, nor is the derivative of what is built on them. Strands that
+            overlap too far, and a passage that shows only by the linking number of the whole run,
+            count from the first saved state that has them; steps that do not resolve the motion
+            are reported with all states.
 
     Differentiable in every array of scene, state, times and method, in forward and reverse mode;
     the reverse pass keeps of every step Newton's solution, of every `save_every` steps the state,
@@ -81,6 +83,7 @@ def rollout(
     if not _is_traced(scene, state, times):
         check_times(scene, state, times)
         method.check_precision(state.position.dtype)
+        check_apart(scene, state)
     if _is_traced(scene, state, times, method, jnp.zeros(()) + 0):  # whatever is computed here is
         run = _rollout(scene, state, times, method, save_every)
         message = "a step failed; call with throw=False and look at `result`"

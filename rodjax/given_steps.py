@@ -9,7 +9,7 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Float, Int
 
-from rodjax import drives, passages, resolution
+from rodjax import drives, overlap, passages, resolution
 from rodjax.compilation import compiled
 from rodjax.generalized_alpha import GeneralizedAlpha
 from rodjax.pace import Pace
@@ -60,11 +60,14 @@ def run_given_steps(
         partial = _run(states, jax.tree.map(lambda leaf: leaf[:told], infos), Result.INTERRUPTED)
         raise Interrupted(f"after t = {float(done.state.time):g}", partial) from error
     states, infos = done.so_far(state)
-    if done.code is Result.SUCCESS:
-        return _judged(scene, _run(states, infos, done.code), times, method)
     pad = lambda leaf: np.concatenate([leaf, np.zeros(len(times) - len(leaf), leaf.dtype)])
     run = _run(states, jax.tree.map(pad, infos), done.code)
     saved = np.append(states.time[:1], times[save_every - 1 :: save_every])
+    found = overlap.first_overlap(scene, states.position[1:])
+    if found is not None:
+        return _failed(run, Result.CONTACT_OVERCOME, found[0] * save_every, saved)
+    if done.code is Result.SUCCESS:
+        return _judged(scene, run, times, method)
     return _failed(run, done.code, done.steps, saved)
 
 
