@@ -62,6 +62,6 @@ def _try(law, cutoff, pair):
     low = jnp.maximum(smallest, 1e-3 * pair.diameter)
     high = cutoff if extent is None else jnp.minimum(cutoff, extent)
     parts = jnp.linspace(0.001, 0.999, _TRIED, dtype=low.dtype)[:, None]
-    tried = low + parts * (high - low)
+    tried = low[None] + parts * (high - low)[None]
     wide = jax.tree.map(lambda v: jnp.broadcast_to(v, tried.shape), pair)
     return law.repulsion(tried, jnp.zeros_like(tried), wide), tried, smallest, extent

@@ -47,9 +47,12 @@ def pair_energy(contact: Contact, distance, pair: PairProperties):
         return potential
     last = jnp.clip((1 - distance / end) / edge, 0.0, 1.0)
     wide = jax.tree.map(lambda v: v[..., None], pair)
-    u = last[..., None] * jnp.asarray(_POINTS, dtype)
+    points, weights = (
+        jnp.asarray(v, dtype).reshape((1,) * distance.ndim + (-1,)) for v in (_POINTS, _WEIGHTS)
+    )
+    u = last[..., None] * points
     fading = continued_potential(law, end * (1 - edge * u), wide) - zero[..., None]
-    fading = jnp.asarray(_WEIGHTS, dtype) * 30 * (u * (1 - u)) ** 2 * fading
+    fading = weights * 30 * (u * (1 - u)) ** 2 * fading
     return potential * smooth_step(last) - last * jnp.sum(fading, -1)
 
 
@@ -65,7 +68,8 @@ def contact_energy(contact: Contact, rod: Rod, position: Float[Array, "nodes 3"]
     joints = interpolate(where, position)
     part = (jnp.arange(contact.points_per_segment) + 0.5) / contact.points_per_segment
     part = part.astype(position.dtype)
-    index = jnp.arange(-(-near.first.shape[0] // BLOCK) * BLOCK).reshape(-1, BLOCK)
+    padded = -(-near.first.shape[0] // BLOCK) * BLOCK
+    index = jnp.arange(padded, dtype=near.count.dtype).reshape(-1, BLOCK)
 
     def points(segment):
         a, b = joints[segment][:, None], joints[segment + 1][:, None]

@@ -218,13 +218,13 @@ def _blocks(contact, where, near, joints, velocities, by_velocity):
                 p = jnp.where(acts, p, 0.0)
                 over = p / distance
                 # numbers of the pairs of points beside vectors, whose components lead
-                p_d, p_c, along = (x[None] for x in (p_d, p_c, opening))
-                across, by_chords = -p_c * (w - along * n), []
+                p_d, p_c, opened = (x[None] for x in (p_d, p_c, opening))
+                across, by_chords = -p_c * (w - opened * n), []
                 if screened:
                     p_a, p_b, c_a, c_b = (x[None] for x in (*by_cosines, *cosines))
                     ta, tb = tangents
                     size_a, size_b = (lengths[None, :, k, None, None] for k in (0, 1))
-                    across = p_a * (ta - c_a * n) + p_b * (tb - c_b * n) - p_c * (w - along * n)
+                    across = p_a * (ta - c_a * n) + p_b * (tb - c_b * n) - p_c * (w - opened * n)
                     by_chords = [p_a * (n - c_a * ta) / size_a, p_b * (n - c_b * tb) / size_b]
                 g = (p_d - by_velocity * p_c) * n + across / distance[None]
                 return p, over, g - over[None] * n, *by_chords

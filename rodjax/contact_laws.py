@@ -62,7 +62,9 @@ class AbstractLaw(eqx.Module):
         A constant in it is of no account. Here it is integrated from d to one diameter.
         """
         start, end = jnp.log(distance), jnp.log(pair.diameter)
-        points, weights = (jnp.asarray(v, distance.dtype) for v in _GAUSS)
+        points, weights = (
+            jnp.asarray(v, distance.dtype).reshape((1,) * distance.ndim + (-1,)) for v in _GAUSS
+        )
         x = jnp.exp(start[..., None] + points * (end - start)[..., None])
         wide = jax.tree.map(lambda v: jnp.asarray(v)[..., None], pair)
         psi = self.repulsion(x, jnp.zeros_like(x), wide)

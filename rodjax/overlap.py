@@ -51,7 +51,7 @@ def crossing_force(contact: Contact, distance, pair: PairProperties):
 def least_held(contact: Contact, pair: PairProperties) -> Float[Array, "..."]:
     """Where `crossing_force` is largest [m]; zero for a law that does not repel."""
     parts = jnp.linspace(0.0, 1.0, _TRIED).reshape(-1, *[1] * pair.diameter.ndim)
-    low = _LEAST * pair.diameter
+    low = _LEAST * pair.diameter[None]
     tried = low * (contact.cutoff / low) ** parts
     force = crossing_force(contact, tried, jax.tree.map(lambda v: v[None], pair))
     place = jnp.take_along_axis(tried, jnp.argmax(force, 0)[None], 0)[0]

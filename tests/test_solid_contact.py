@@ -89,7 +89,6 @@ def test_thin_part_of_a_taper_counts():
         ({"force": np.nan}, "^force"),
         ({"force": 1.0, "indentation": 0.0}, "^indentation"),
         ({"force": 1.0, "indentation": 0.5}, "^indentation"),
-        ({"force": 1.0, "indentation": "soft"}, "^indentation"),
         ({"force": 1.0, "relaxation": -1.0}, "^relaxation"),
     ],
 )
