@@ -210,6 +210,7 @@ def adaptive_rollout(
     if not span > 0:
         raise ValueError(f"end_time: must lie after the state's time {float(state.time):g}")
     scene.check_until(float(end_time))
+    overlap.check_apart(scene, state)
     state = prepare(scene, state)
     method = GeneralizedAlpha() if method is None else method
     control = StepControl() if control is None else control
