@@ -184,7 +184,7 @@ def test_overlap_is_found_where_it_is(solid):
     # a tip that went in, and one that went through
     for end in (0.02, -0.2):
         assert found_in(solid, {"end": end}) is not None
-    for degrees in (60, 5):
+    for degrees in (60, 30):
         shape = deep | {"angle": np.radians(degrees)}
         assert found_in(solid, shape)[1].distance == pytest.approx(0.2 * D, rel=1e-3)
 
