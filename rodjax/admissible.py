@@ -48,7 +48,8 @@ class Admissible(NamedTuple):
 
     def motion(self, scene: Scene, y: Complex[Array, "k m"]) -> Complex[Array, "k nodes 6"]:
         """Displacements [m] and body spins [rad] for parameters."""
-        return jnp.einsum("km,mni->kni", y, self.basis) * _units(scene)
+        basis = self.basis * _units(scene)[None, None]
+        return jnp.einsum("km,mni->kni", y, basis.astype(y.dtype))
 
 
 def _units(scene: Scene) -> Float[Array, "6"]:
@@ -101,7 +102,7 @@ def admissible(scene: Scene, state: State) -> Admissible:
     parameters = 3 + 3 * (n + 1) + (0 if give is None else 3 * n)
     basis = jax.vmap(expand)(jnp.eye(parameters, dtype=dtype))
     motion = at_rest(state.time, state.position, state.quaternion)
-    units, energy = _units(scene), mean_bending(scene) / length
+    units, energy = _units(scene)[None], mean_bending(scene) / length
 
     def work(z):
         """The imbalance, as work over A/L on a displacement of L or a spin of 1."""
@@ -153,4 +154,4 @@ def damping_matrix(scene: Scene, state: State, motions: Admissible) -> Float[Arr
 def _scaled(matrix: Float[Array, "nodes 6 6"], scene: Scene) -> Float[Array, "nodes 6 6"]:
     """Rows and columns of spins over L."""
     over = _units(scene) / jnp.sum(scene.rod.length)
-    return over[:, None] * matrix * over
+    return over[None, :, None] * matrix * over[None, None]

@@ -110,7 +110,7 @@ def lowest(
     work = jnp.einsum("ki,ij,kj->k", x, stiffness.astype(x.dtype), y)
     weighed = jnp.einsum("ki,ij,kj->k", x, weight.astype(x.dtype), y)
     work = work - jnp.where(finite, values, 0.0) * weighed
-    gaps = jnp.abs(values[:, None] - values)
+    gaps = jnp.abs(values[:, None] - values[None])
     near = jnp.sqrt(jnp.finfo(c.dtype).eps) * (jnp.abs(values) + factored.sigma)
     same = (gaps <= near[:, None]).astype(work.dtype)
     values = _with_slope(values, (same @ work) / jnp.sum(same, 1))
@@ -143,14 +143,15 @@ def _general_pairs(factored: _Factored, c: Float[Array, "m m"], count: int):
     weightless = jnp.abs(nu) <= len(c) * jnp.finfo(c.dtype).eps * jnp.max(jnp.abs(nu))
     inverse = 1 / jnp.where(weightless, 1.0, nu)
     order = jnp.argsort(jnp.where(weightless, jnp.inf, inverse.real))[:count]
-    values = jnp.where(weightless, jnp.inf, inverse)[order] - factored.sigma
+    values = jnp.where(weightless, jnp.inf, inverse)[order]
+    values = values - jnp.asarray(factored.sigma, values.dtype)
     # left vectors from the inverse, orthogonal to the right ones also where values coincide
     left = jnp.linalg.inv(z)[order]
     left = jnp.linalg.solve(odd.T.astype(z.dtype), left.T)
     size = jnp.sqrt(jnp.einsum("ik,ij,jk->k", z.conj(), b.astype(z.dtype), z).real)[order]
     lower, free = factored.lower.astype(z.dtype), factored.free.astype(z.dtype)
-    left = _solve_upper(lower, left).T @ free * (inverse[order] * size)[:, None]
-    right = _solve_upper(lower, z[:, order]).T @ free / size[:, None]
+    left = _solve_upper(lower, left).T @ free * (inverse[order] * size.astype(z.dtype))[:, None]
+    right = _solve_upper(lower, z[:, order]).T @ free / size.astype(z.dtype)[:, None]
     return values, left, right
 
 

@@ -92,7 +92,8 @@ def _stability(scene, state, count):
     lowest_is_positive = lambda: found.values[0].real > 0
     stable = lax.cond(found.symmetric, lowest_is_positive, lambda: ~_grows(*fixed))
     modes = fixed[-1].motion(scene, found.vectors)
-    values = found.values * (mean_bending(scene) / jnp.sum(scene.rod.length) ** 2)
+    scale = mean_bending(scene) / jnp.sum(scene.rod.length) ** 2
+    values = found.values * scale.astype(found.values.dtype)
     return Stability(
         values.real,
         lax.stop_gradient(modes.real),

@@ -91,9 +91,10 @@ def _vibration(scene, state, count):
     unit = jnp.full((), 100.0, state.position.dtype)
     found = lowest(motions.stiffness, mass, motions.ends, unit, count)
     rate = rate_of(scene)
-    values = found.values * rate * rate
+    values = found.values * (rate * rate).astype(found.values.dtype)
     total = jnp.sqrt(total_mass(scene.rod)) * jnp.sum(scene.rod.length)
-    modes = lax.stop_gradient(motions.motion(scene, found.vectors) / total)
+    vectors = found.vectors / total.astype(found.vectors.dtype)
+    modes = lax.stop_gradient(motions.motion(scene, vectors))
     return Vibration(
         values.real,
         modes.real,

@@ -50,7 +50,7 @@ def least_hold(scene: Scene, state: State) -> Float[Array, ""]:
     none = jnp.zeros_like(eye)
     last = eye + jnp.einsum("nij,nkj->ik", spins, spins)
     if rod.compliance is not None:
-        give = share[:, None] * (rod.compliance > 0)
+        give = share[:, None] * (rod.compliance > 0).astype(share.dtype)
         last = last + jnp.einsum("nij,nj,nkj->ik", kinematics.frame, give, kinematics.frame)
     # products of the rows of u_0, dtheta_0, u_n, dtheta_n
     rows = [
