@@ -1,4 +1,4 @@
-"""Settings of every test: double precision, no implicit rank promotion, no display."""
+"""Settings of every test: double precision, nothing promoted unsaid, no display."""
 
 import gc
 import importlib.metadata
@@ -14,6 +14,7 @@ if tuple(map(int, importlib.metadata.version("jaxlib").split(".")[:2])) < (0, 12
     os.environ["XLA_FLAGS"] += " --xla_cpu_use_fusion_emitters=false"
 
 import jax
+import pytest
 
 # tracing makes many objects that stay: looking through them for garbage takes a quarter of its time
 gc.set_threshold(200_000, 50, 100)
@@ -21,3 +22,55 @@ gc.set_threshold(200_000, 50, 100)
 os.environ.setdefault("MPLBACKEND", "Agg")
 
 jax.config.update("jax_enable_x64", True)
+
+# Files not yet tried with strict promotions, or whose own arithmetic still promotes. In all others
+# ranks and types that are not written out are refused, in the test and in the library under it.
+PROMOTING = [
+    "anchored",
+    "arguments",
+    "balance",
+    "block_tridiagonal",
+    "bounds",
+    "contact",
+    "contact_derivatives",
+    "contact_laws",
+    "convergence",
+    "drives",
+    "error_vs_runtime",
+    "experiments",
+    "extrapolation",
+    "fit",
+    "fit_data",
+    "follower_loads",
+    "loads",
+    "measures",
+    "observations",
+    "paper_scheme",
+    "passages",
+    "peers",
+    "probing",
+    "resolution",
+    "rod",
+    "rotations",
+    "schedules_ends",
+    "semidiscrete",
+    "starts",
+    "stability_map",
+    "static_contact",
+    "step",
+    "storage",
+    "sweep",
+    "topology",
+    "traced_geometry",
+    "validation",
+    "windows",
+]
+
+
+@pytest.fixture(autouse=True, scope="module")
+def _strict_promotions(request):
+    if request.module.__name__.removeprefix("test_") in PROMOTING:
+        yield
+        return
+    with jax.numpy_rank_promotion("raise"), jax.numpy_dtype_promotion("strict"):
+        yield
