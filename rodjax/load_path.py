@@ -38,7 +38,17 @@ from rodjax.validation import check_finite, check_scalar
 
 
 class EquilibriumInfo(NamedTuple):
-    """How the equilibrium was found."""
+    """How the equilibrium was found.
+
+    Attributes:
+        result: a `Result` as a number; 0 is success.
+        iterations: Newton iterations in all.
+        load_steps: accepted steps of the path.
+        rejected: steps that were halved.
+        reached: how far along the path, 1 at its end.
+        unstable: number of unstable modes of the equilibrium (see `unstable_modes`).
+        descent: steps of descents from unstable equilibria.
+    """
 
     result: Int[Array, ""]
     iterations: Int[Array, ""]  # Newton iterations in all

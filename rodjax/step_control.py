@@ -54,6 +54,8 @@ class Control(NamedTuple):
         dt: step to try next [s].
         growth: by what factor it may grow after the next accepted step.
         max_step, min_step: bounds of the step [s].
+        landing: steps accepted since the end of the run came near; -1: it has not.
+        next_dt, next_growth: `dt` and `growth` as they were then.
     """
 
     dt: Float[Array, ""]  # step to try next
