@@ -248,7 +248,11 @@ def tangent(vector: Float[Array, "*b 3"]) -> Float[Array, "*b 3 3"]:
     skew = hat(vector)
     first = _blend(squared, _VERSINE[::-1], lambda a: (1 - jnp.cos(a)) / a**2)
     second = _blend(squared, _CUBIC[::-1], lambda a: (a - jnp.sin(a)) / a**3)
-    return jnp.eye(3, dtype=vector.dtype) - first * skew + second * (skew @ skew)
+    return (
+        jnp.broadcast_to(jnp.eye(3, dtype=vector.dtype), skew.shape)
+        - first * skew
+        + second * (skew @ skew)
+    )
 
 
 def tangent_inverse(vector: Float[Array, "*b 3"]) -> Float[Array, "*b 3 3"]:
@@ -256,7 +260,7 @@ def tangent_inverse(vector: Float[Array, "*b 3"]) -> Float[Array, "*b 3 3"]:
     squared = jnp.sum(vector * vector, -1)[..., None, None]
     skew = hat(vector)
     return (
-        jnp.eye(3, dtype=vector.dtype)
+        jnp.broadcast_to(jnp.eye(3, dtype=vector.dtype), skew.shape)
         + 0.5 * skew
         + inverse_tangent_coefficient(squared) * (skew @ skew)
     )
