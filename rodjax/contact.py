@@ -18,7 +18,16 @@ from jaxtyping import Array, Float, Int
 from rodjax.contact_checks import check_law
 from rodjax.contact_laws import AbstractLaw, Penalty
 from rodjax.rod import Number, Rod
-from rodjax.validation import as_float, as_float_or_none, check_positive, known
+from rodjax.validation import (
+    as_float,
+    as_float_or_none,
+    check_instance,
+    check_integer,
+    check_positive,
+    check_scalar,
+    given,
+    known,
+)
 
 
 class Contact(eqx.Module):
@@ -61,32 +70,37 @@ class Contact(eqx.Module):
     closed: bool = eqx.field(static=True, default=False, repr=False)
 
     def __check_init__(self):
-        least = {"segments": 2, "points_per_segment": 1, "pairs_per_segment": 1}
-        for name, low in least.items():
+        check_instance(AbstractLaw, "give a law such as Penalty(stiffness)", law=self.law)
+        # what is compared or listed: segments with each other, points of pairs in blocks
+        check_integer(2, 10_000, segments=self.segments)
+        check_integer(1, 256, points_per_segment=self.points_per_segment)
+        check_integer(1, 10_000, **given(pairs_per_segment=self.pairs_per_segment))
+        numbers = given(aperture=self.aperture, exclusion=self.exclusion)
+        check_scalar(cutoff=self.cutoff, edge=self.edge, **numbers)
+        check_positive(cutoff=self.cutoff, **numbers)
+        for name, high in {"aperture": np.pi, "edge": 1.0}.items():
             value = getattr(self, name)
-            derived = name == "pairs_per_segment" and value is None
-            if not derived and (not isinstance(value, int) or value < low):
-                raise ValueError(f"{name}: must be an integer of at least {low}, got {value}")
-        ranges = {
-            "cutoff": (self.cutoff, 0, np.inf),
-            "aperture": (self.aperture, 0, np.pi),
-            "edge": (self.edge, 0, 1),
-        }
-        for name, (value, low, high) in ranges.items():
-            if isinstance(value, jax.core.Tracer) or not hasattr(value, "shape"):
-                continue
-            if not np.all((np.asarray(value) > low) & (np.asarray(value) <= high)):
-                raise ValueError(f"{name}: must be in ({low:g}, {high:g}], got {value}")
-        traced = any(isinstance(x, jax.core.Tracer) for x in (self.exclusion, self.cutoff))
-        concrete = self.exclusion is not None and not traced and hasattr(self.exclusion, "shape")
+            if known(value) and not 0 < float(value) <= high:
+                raise ValueError(f"{name}: must be in (0, {high:g}], got {value}")
+        concrete = known(self.exclusion) and known(self.cutoff)
         if concrete and np.any(np.asarray(self.exclusion) < np.asarray(self.cutoff)):
             raise ValueError(
                 f"cutoff: {self.cutoff} exceeds the excluded neighbour distance"
                 f" {self.exclusion}; a straight rod would repel itself: raise `exclusion`"
             )
         sizes = self.capacities
-        if sizes is not None and (list(sizes) != sorted(set(sizes)) or not sizes or sizes[0] < 2):
-            raise ValueError(f"capacities: must increase from 2 at least, got {sizes}")
+        if sizes is not None:
+            if not isinstance(sizes, tuple) or not sizes:
+                raise ValueError(f"capacities: give a tuple of numbers of joints, got {sizes!r}")
+            check_integer(2, **{f"capacities[{i}]": size for i, size in enumerate(sizes)})
+            if list(sizes) != sorted(set(sizes)):
+                raise ValueError(f"capacities: must increase, got {sizes}")
+        joints = min(self.sizes[-1], self.segments + 1)
+        if (self.pairs_per_segment or 1) * joints > 1_000_000:
+            raise ValueError(
+                f"pairs_per_segment: lists of {self.pairs_per_segment * joints} pairs are too long;"
+                " leave it out, and what two strands side by side need is taken"
+            )
 
     @classmethod
     def solid(

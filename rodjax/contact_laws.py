@@ -7,6 +7,7 @@ double integral, so the total does not depend on the spacing of the points.
 """
 
 import abc
+import dataclasses
 from typing import NamedTuple
 
 import equinox as eqx
@@ -16,7 +17,13 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from rodjax.validation import as_float, check_finite, check_not_negative, check_positive
+from rodjax.validation import (
+    as_float,
+    check_finite,
+    check_not_negative,
+    check_positive,
+    check_scalar,
+)
 
 
 class PairProperties(NamedTuple):
@@ -98,6 +105,11 @@ def continued_potential(law: AbstractLaw, distance, pair: PairProperties):
     return law.potential(at, pair) - psi * below - 0.5 * slope * below**2
 
 
+def _check_numbers(law: AbstractLaw) -> None:
+    """Raise ValueError unless each field is one real number."""
+    check_scalar(**{field.name: getattr(law, field.name) for field in dataclasses.fields(law)})
+
+
 class DampedInversePower(AbstractLaw):
     """Eq. (13): rho_c A_c (k1 / (d - offset D)^k2 + (k3 / d) c |c|^k4) / reference_spacing.
 
@@ -123,6 +135,7 @@ class DampedInversePower(AbstractLaw):
     gap_floor: Float[Array, ""] = eqx.field(converter=as_float, default=0.01)
 
     def __check_init__(self):
+        _check_numbers(self)
         check_positive(
             k1=self.k1,
             k2=self.k2,
@@ -164,6 +177,7 @@ class InversePower(AbstractLaw):
     floor: Float[Array, ""] = eqx.field(converter=as_float, default=0.1)
 
     def __check_init__(self):
+        _check_numbers(self)
         check_positive(strength=self.strength, exponent=self.exponent, floor=self.floor)
 
     def smallest(self, pair) -> Array:
@@ -196,6 +210,7 @@ class LennardJones(AbstractLaw):
     range: Float[Array, ""] = eqx.field(converter=as_float)
 
     def __check_init__(self):
+        _check_numbers(self)
         check_positive(energy=self.energy, range=self.range)
 
     def smallest(self, pair) -> Array:
@@ -223,6 +238,7 @@ class DebyeHueckel(AbstractLaw):
     floor: Float[Array, ""] = eqx.field(converter=as_float, default=0.1)
 
     def __check_init__(self):
+        _check_numbers(self)
         check_positive(strength=self.strength, screening=self.screening, floor=self.floor)
 
     def smallest(self, pair) -> Array:
@@ -249,6 +265,7 @@ class Barrier(AbstractLaw):
     floor: Float[Array, ""] = eqx.field(converter=as_float, default=0.02)
 
     def __check_init__(self):
+        _check_numbers(self)
         check_positive(stiffness=self.stiffness, reach=self.reach, floor=self.floor)
 
     def smallest(self, pair) -> Array:
@@ -287,6 +304,7 @@ class Penalty(AbstractLaw):
     relaxation: Float[Array, ""] = eqx.field(converter=as_float, default=0.0)
 
     def __check_init__(self):
+        _check_numbers(self)
         check_positive(stiffness=self.stiffness, softness=self.softness)
         check_not_negative(relaxation=self.relaxation)
 
