@@ -68,6 +68,7 @@ class Turn(eqx.Module):
 
     @property
     def until(self):
+        """Time until which the angle is prescribed [s]."""
         return self.angle.until
 
     @property
