@@ -65,19 +65,19 @@ def grid(length: Number, elements: int, jumps: Sequence[Number] = ()) -> np.ndar
     elements = as_integer(elements)
     check_integer(2, elements=elements)
     check_numbers(jumps=jumps)
-    jumps, length = array_of(jumps), array_of(length)
-    if jumps.ndim != 1 or not known(jumps):
+    inside, total = array_of(jumps), array_of(length)
+    if inside.ndim != 1 or not known(inside):
         raise ValueError(f"jumps: give a tuple of known arc lengths, got {shown(jumps)}")
-    if not known(length):
-        if jumps.size:
+    if not known(total):
+        if inside.size:
             raise ValueError("jumps: their elements cannot be counted where the length is traced")
-        return length * np.linspace(0.0, 1.0, elements + 1)
-    marks = np.array([0.0, *np.sort(jumps), length])
+        return total * np.linspace(0.0, 1.0, elements + 1)
+    marks = np.array([0.0, *np.sort(inside), total])
     if not np.all(np.diff(marks) > 0):
         raise ValueError(f"jumps: must be distinct and inside (0, {length}), got {shown(jumps)}")
     if len(marks) - 1 > elements:
         raise ValueError(f"elements: {len(marks) - 1} pieces between jumps need as many elements")
-    share = np.diff(marks) / length * elements
+    share = np.diff(marks) / total * elements
     count = np.maximum(1, np.round(share).astype(int))
     while count.sum() != elements:  # repair rounding where it hurts least
         step = 1 if count.sum() < elements else -1

@@ -8,7 +8,7 @@ import abc
 import functools
 import operator
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -260,7 +260,7 @@ class DistributedLoad(AbstractLoad):
         return rod.node_length[:, None] * per_length
 
 
-def _node_number(node):
+def _node_number(node) -> Any:
     """The number as an array, which does not make the program; what is no integer is left."""
     if isinstance(node, int) and not isinstance(node, bool) and abs(node) < 2**31:
         return jnp.asarray(node, jnp.int32)

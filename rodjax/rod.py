@@ -8,6 +8,7 @@ at a node is exact.
 import dataclasses
 import warnings
 from collections.abc import Callable, Sequence
+from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -129,14 +130,15 @@ class Rod(eqx.Module):
             if value is None and name in optional:
                 continue
             check_numbers(**{name: value})
-            if tuple(jnp.shape(value)) != shape:
+            found: Any = value
+            if tuple(jnp.shape(found)) != shape:
                 raise ValueError(
-                    f"{name}: expected shape {shape} for {n} elements, got {jnp.shape(value)}"
+                    f"{name}: expected shape {shape} for {n} elements, got {jnp.shape(found)}"
                 )
-            if value.dtype != self.position.dtype:
+            if found.dtype != self.position.dtype:
                 raise ValueError(
                     f"{name}: must be of one precision with the position, {self.position.dtype};"
-                    f" got {value.dtype}"
+                    f" got {found.dtype}"
                 )
             if known(value):
                 _check_values(name, np.asarray(value))
@@ -149,7 +151,8 @@ class Rod(eqx.Module):
     def _check_slender(self):
         if not (known(self.diameter) and known(self.length)):
             return
-        thickest, length = float(np.max(self.diameter)), float(np.sum(self.length))
+        thickest = float(np.max(np.asarray(self.diameter)))
+        length = float(np.sum(np.asarray(self.length)))
         if thickest > 0.5 * length:
             warnings.warn(
                 f"diameter: {thickest:g} is no small part of the length {length:g}, which is a rod"
@@ -281,15 +284,17 @@ def curved_rod(
         at = lambda s: curves.along(curve, s)
     else:
         along, measured = curves.through(curve, length)
-        length = measured if length is None else length
-        check_scalar(length=length)
-        if known(as_float(length)) and known(measured) and abs(length / measured - 1) > 0.01:
+        wanted: Any = measured if length is None else length
+        check_scalar(length=wanted)
+        if known(as_float(wanted)) and known(measured) and abs(wanted / measured - 1) > 0.01:
             raise ValueError(
                 f"length: the curve through the points is {float(measured):.6g} long, not"
-                f" {float(length):.6g}; give length=None for its own"
+                f" {float(wanted):.6g}; give length=None for its own"
             )
-        at = lambda s: along(s * (measured / length))
-    nodes = grid(length, elements, jumps)
+        length = wanted
+        at = lambda s: along(s * (measured / wanted))
+    total: Any = length
+    nodes = grid(total, elements, jumps)
     ds = nodes[1:] - nodes[:-1]
     step = 1e-4 * nodes[-1] / len(ds)
     both = module_of(nodes).concatenate([nodes + step, nodes - step, nodes[:1]])
@@ -322,15 +327,15 @@ def curved_rod(
 
 
 def build_rod(
-    nodes: np.ndarray,
-    position: np.ndarray,
-    quaternion: np.ndarray,
+    nodes: np.ndarray | Array,
+    position: np.ndarray | Array,
+    quaternion: np.ndarray | Array,
     section: Section | Callable[[np.ndarray], Section],
     natural_curvature: Sequence[Property],
 ) -> Rod:
     """A `Rod` from node arc lengths, a placing and a section; the other builders end here."""
     midpoints = 0.5 * (nodes[1:] + nodes[:-1])
-    chosen = section
+    chosen: Any = section
     if callable(section) and not isinstance(section, type):
         chosen = called("section", section, midpoints)
     check_instance(Section, "give a Section, or circular_section(...)", section=chosen)
@@ -343,7 +348,7 @@ def build_rod(
         "rotary_inertia": (chosen.rotary_inertia, INERTIA),
         "compliance": (chosen.compliance, COMPLIANCE),
     }
-    fields = dict.fromkeys(("mass", "diameter", "area", *triples))
+    fields: dict[str, Any] = dict.fromkeys(("mass", "diameter", "area", *triples))
     fields |= {name: one(value, name) for name, value in ones.items()}
     for name, (value, meaning) in triples.items():
         if value is not None or name in ("stiffness", "natural_curvature"):

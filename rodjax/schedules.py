@@ -7,6 +7,7 @@ until then. Its first knot is a corner like the others.
 import abc
 import operator
 from collections.abc import Callable
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -70,7 +71,8 @@ def check_schedule(shape: tuple[int, ...], mend: str, **schedules) -> None:
         if callable(schedule) and not isinstance(schedule, type | eqx.Module):
             raise ValueError(f"{name}: wrap {named(schedule)} in a schedule: Function(function)")
         check_instance(AbstractSchedule, mend, **{name: schedule})
-        found = returned(name, schedule, _time()).shape
+        values: Any = schedule
+        found = returned(name, values, _time()).shape
         if found != shape:
             expected = "one number" if shape == () else f"{shape[0]} components"
             raise ValueError(f"{name}: the schedule must give {expected}, got shape {found}")

@@ -1,6 +1,7 @@
 """Section properties along the rod: stiffness, inertia, compliance, thickness."""
 
 from collections.abc import Callable, Sequence
+from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -87,7 +88,7 @@ def check_components(meaning: str, **properties) -> None:
             raise ValueError(refusal)
 
 
-def sample(value: Property, midpoints: np.ndarray, name: str) -> Array:
+def sample(value: Property, midpoints: np.ndarray | Array, name: str) -> Array:
     """Values per element of a constant, an array or a function of s (taken at the centres)."""
     if callable(value) and not isinstance(value, type):
         hint = "it is given all arc lengths at once: numpy.where takes the place of `if`"
@@ -104,9 +105,7 @@ def sample(value: Property, midpoints: np.ndarray, name: str) -> Array:
     return result
 
 
-def components(
-    value: Sequence[Property] | np.ndarray | Array, midpoints: np.ndarray, name: str, meaning: str
-) -> Array:
+def components(value: Any, midpoints: np.ndarray | Array, name: str, meaning: str) -> Array:
     """Values (n, 3) of three properties or of an array (n, 3)."""
     check_components(meaning, **{name: value})
     n = midpoints.shape[0]

@@ -24,7 +24,7 @@ LARGEST = 1_000_000
 # Conversion
 
 
-def as_float(value):
+def as_float(value) -> Any:
     """The value as an array of floating point numbers; what holds no real numbers is left.
 
     Single precision is kept, all else taken in the default precision.
@@ -36,7 +36,7 @@ def as_float(value):
     return jnp.asarray(array, jnp.float32 if single else jnp.result_type(float))
 
 
-def as_float_or_none(value):
+def as_float_or_none(value) -> Any:
     """`as_float` of what may be left out."""
     return None if value is None else as_float(value)
 
@@ -74,7 +74,7 @@ def as_integer(value):
     return int(number) if number.is_integer() else value
 
 
-def _array(value):
+def _array(value) -> Any:
     """The value as something with shape and dtype of real numbers, or None."""
     if not (hasattr(value, "shape") and hasattr(value, "dtype")):
         value = _made(value)
@@ -97,7 +97,7 @@ def _made(value):
         return None
 
 
-def array_of(value):
+def array_of(value) -> Any:
     """Real numbers as numpy's array (in double precision) where known, else as they are traced."""
     array = _array(value)
     return np.asarray(array, float) if isinstance(array, np.ndarray) or known(array) else array
@@ -231,8 +231,8 @@ def _worst(value, bad) -> str:
     """The first of the numbers that are wrong."""
     if value.shape == ():
         return str(value)
-    where = tuple(int(i) for i in np.argwhere(bad)[0])
-    return f"{value[where]} at index {where if len(where) > 1 else where[0]}"
+    where = [int(i) for i in np.argwhere(bad)[0]]
+    return f"{value[tuple(where)]} at index {tuple(where) if len(where) > 1 else where[0]}"
 
 
 # Checks of objects
