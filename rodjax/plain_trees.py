@@ -12,6 +12,7 @@ import json
 import os
 import warnings
 from pathlib import Path
+from typing import TypeVar
 
 import h5py
 import numpy as np
@@ -25,6 +26,8 @@ _LARGEST_RATIO = 16  # and how many times its own size on top
 _MOST_OBJECTS = 200_000
 _DEEPEST = 60
 _SIZES = {h5t.INTEGER: (1, 2, 4, 8), h5t.FLOAT: (2, 4, 8)}
+
+Plain = TypeVar("Plain", bool, int, float, str)
 
 
 @dataclasses.dataclass
@@ -54,7 +57,7 @@ class Node:
             raise StorageError(f"{place}: {node.problem}")
         return node
 
-    def attribute(self, name: str, kind: type, place: str):
+    def attribute(self, name: str, kind: type[Plain], place: str) -> Plain:
         """An attribute of a type asked for.
 
         Raises:
