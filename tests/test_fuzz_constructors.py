@@ -568,7 +568,7 @@ def test_short_runs_end_well_or_with_a_code(kind):
         try:
             state = rx.start(scene)
             end = log_uniform(draw, 1e-4, 1e-1)
-            run = rx.adaptive_rollout(scene, state, end, max_steps=60, throw=False)
+            run = rx.adaptive_rollout(scene, state, end, max_steps=400, throw=False)
         except ValueError as error:
             if not OURS.match(str(error)):
                 faults.append(f"{kind} {i}: {error}")
