@@ -18,6 +18,7 @@ from jaxtyping import Array, Float, Int
 from rodjax import newton, results, rotations
 from rodjax.arguments import check_motion, check_scene
 from rodjax.compilation import compiled
+from rodjax.overlap import check_apart, overcome
 from rodjax.path_following import (
     ACCEPT,
     LEAVE,
@@ -127,7 +128,7 @@ def equilibrium(
 
     Raises:
         ValueError: ends and loads leave the rod free to move, or the ends hold it twice in some
-            direction, a schedule or a constraint's time does not fit, a value is not finite
+            direction, strands start too near for the contact, a schedule or a constraint's time does not fit, a value is not finite
             (checked outside traced code).
         SimulationError: the path ended early, as it does where the equilibrium becomes critical.
     """
@@ -155,6 +156,7 @@ def equilibrium(
     _check_path(scene, state, stop)
     hold = check_held(scene, state, stop, spin_free=True)
     check_held_once(scene, state)
+    check_apart(scene, state)
     as_array = lambda value: jnp.asarray(value, dtype)
     new, info = _equilibrium(
         scene,
@@ -167,6 +169,8 @@ def equilibrium(
         jnp.asarray({None: LEAVE_EXCITED, True: LEAVE, False: ACCEPT}[relax], jnp.int32),
         hold,
     )
+    if not isinstance(info.result, jax.core.Tracer) and overcome(scene, new):
+        info = info._replace(result=results.as_code(Result.CONTACT_OVERCOME))
     if relax is None:
         _warn_if_unstable(info)
     if throw:

@@ -133,10 +133,21 @@ def _closest(p, d, q, e):
     return u, v, np.sqrt(np.sum((r + u[:, None] * d - v[:, None] * e) ** 2, 1))
 
 
+def _known(scene: Scene, state: State) -> bool:
+    leaves = jax.tree.leaves((scene.contact, scene.rod, state.position))
+    return not any(isinstance(leaf, jax.core.Tracer) for leaf in leaves)
+
+
+def overcome(scene: Scene, state: State) -> bool:
+    """Whether strands are nearer than the contact can hold them; no in traced code."""
+    if scene.contact is None or not _known(scene, state):
+        return False
+    return first_overlap(scene, np.asarray(state.position)[None]) is not None
+
+
 def check_apart(scene: Scene, state: State) -> None:
     """Raise ValueError if strands start nearer than the contact can hold them, unless traced."""
-    leaves = jax.tree.leaves((scene.contact, scene.rod, state.position))
-    if scene.contact is None or any(isinstance(leaf, jax.core.Tracer) for leaf in leaves):
+    if scene.contact is None or not _known(scene, state):
         return
     scene.contact.check(scene.rod)
     found = first_overlap(scene, np.asarray(state.position)[None])
