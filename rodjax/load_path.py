@@ -128,8 +128,8 @@ def equilibrium(
 
     Raises:
         ValueError: ends and loads leave the rod free to move, or the ends hold it twice in some
-            direction, strands start too near for the contact, a schedule or a constraint's time does not fit, a value is not finite
-            (checked outside traced code).
+            direction, strands start too near for the contact, a schedule or a constraint's time
+            does not fit, a value is not finite (checked outside traced code).
         SimulationError: the path ended early, as it does where the equilibrium becomes critical.
     """
     check_motion(scene, state)
