@@ -60,8 +60,8 @@ def check_local(load: AbstractLoad, rod: Rod, name: str) -> None:
                         " use the node's own row of `motion` only (no mean, sum, difference or"
                         " shift along the nodes). Forces between strands belong in `contact`"
                     )
-    except _Refused:
-        raise
+    except _Refused as refusal:  # the caller's traceback names no private class
+        raise ValueError(*refusal.args) from refusal.__cause__
     except _ERRORS:
         return
     _PASSED[kind] = None
