@@ -96,9 +96,10 @@ class Contact(eqx.Module):
             if list(sizes) != sorted(set(sizes)):
                 raise ValueError(f"capacities: must increase, got {sizes}")
         joints = min(self.sizes[-1], self.segments + 1)
-        if (self.pairs_per_segment or 1) * joints > 1_000_000:
+        pairs = (self.pairs_per_segment or 1) * joints
+        if pairs > 1_000_000:
             raise ValueError(
-                f"pairs_per_segment: lists of {self.pairs_per_segment * joints} pairs are too long;"
+                f"pairs_per_segment: lists of {pairs} pairs are too long;"
                 " leave it out, and what two strands side by side need is taken"
             )
 

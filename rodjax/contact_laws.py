@@ -37,7 +37,7 @@ class AbstractLaw(eqx.Module):
     """A pair interaction."""
 
     @abc.abstractmethod
-    def repulsion(self, distance, approach, pair: PairProperties):
+    def repulsion(self, distance, approach, pair: PairProperties) -> Array:
         """psi(d, c) [N/m^2] for d above `smallest`."""
 
     @abc.abstractmethod

@@ -1,7 +1,7 @@
 """Descent along the gradient of a loss in reverse mode: for many parameters, or any loss."""
 
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -122,7 +122,7 @@ def minimize(
 
 
 @compiled
-def _descend(loss, unknowns, optimizer, vector, memory):
+def _descend(loss, unknowns, optimizer, vector, memory) -> tuple[Array, Array, Any, Any]:
     def objective(u):
         value = jnp.asarray(loss(unknowns.parameters(u)))
         if value.shape != ():

@@ -350,15 +350,21 @@ def ledger(scene: Scene, run: Run) -> Ledger:
     lost = jnp.concatenate([jnp.zeros_like(lost[:1]), lost])
     total = jnp.cumsum(jnp.concatenate([gains, lost[:, None]], 1), 0)
     total = total - total[:1]
-    work, (contact_work, drag, damping, contact_loss, projection) = total[:, :2].T, total[:, 2:].T
+    drive_work, load_work, contact_work, drag, damping, contact_loss, projection = total.T
+    bending, torsion, axial, kinetic, gravity, contact = stored.T
     return Ledger(
         states.time,
-        *work,
-        *stored[:, :-1].T,
+        drive_work,
+        load_work,
+        bending,
+        torsion,
+        axial,
+        kinetic,
+        gravity,
         contact_work,
         drag,
         damping,
         projection,
-        stored[:, -1],
+        contact,
         contact_loss,
     )

@@ -14,6 +14,7 @@ import types
 from collections.abc import Callable, Mapping
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jax.extend.core import ClosedJaxpr, Jaxpr, Literal
 
@@ -115,7 +116,7 @@ class _Fingerprint:
 
 
 def _array(value) -> str:
-    if jax.dtypes.issubdtype(value.dtype, jax.dtypes.prng_key):
+    if jnp.issubdtype(value.dtype, jax.dtypes.prng_key):
         return _digest("key", value.dtype, _array(jax.random.key_data(value)))
     array = np.asarray(value)
     return _digest(array.dtype, array.shape, np.ascontiguousarray(array).tobytes())

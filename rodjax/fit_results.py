@@ -11,6 +11,7 @@ from jaxtyping import PyTree
 from tqdm import tqdm
 
 from rodjax.bounds import names_of
+from rodjax.validation import given
 
 Progress = Callable[[int, float, Any], None] | bool | None
 
@@ -239,10 +240,8 @@ def check_settings(max_steps, tolerance, threshold=None, progress=None) -> None:
     """Raise ValueError unless the settings of a fit make sense."""
     if not isinstance(max_steps, int | np.integer) or isinstance(max_steps, bool) or max_steps < 0:
         raise ValueError(f"max_steps: must be a whole number, 0 or more, got {max_steps!r}")
-    for name, value in (("tolerance", tolerance), ("threshold", threshold)):
-        if name == "threshold" and value is None:
-            continue
-        number = np.isscalar(value) or np.shape(value) == ()
+    for name, value in {"tolerance": tolerance, **given(threshold=threshold)}.items():
+        number = np.shape(value) == ()
         if not number or isinstance(value, str | bool) or not 0 <= float(value) < 1:
             raise ValueError(f"{name}: must be a number from 0 to less than 1, got {value!r}")
     if not (callable(progress) or progress is None or isinstance(progress, bool)):

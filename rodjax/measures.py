@@ -148,8 +148,8 @@ def contacts(scene: Scene, run: Run) -> ContactReport:
         found = contact_forces.report(contact, scene.rod, s.position, s.velocity)
         # what is not a number is near nothing, but not for that free of forces
         unknown = 0 * jnp.sum(s.position)
-        numbers = (found.force, found.total, found.smallest)
-        return ContactReport(*(x + unknown for x in numbers), found.overflow)
+        force, total, smallest = (x + unknown for x in (found.force, found.total, found.smallest))
+        return ContactReport(force, total, smallest, found.overflow)
 
     return lax.map(one, run.states)
 

@@ -65,7 +65,7 @@ class ObjectReader:
         if kind not in ("jax", "numpy", "scalar") or value is None:
             raise StorageError(f"{place}: is of the unknown kind '{kind}'")
         if kind == "scalar" and value.ndim == 0:
-            return value[()]
+            return np.asarray(value)[()]
         if kind != "jax":
             return np.asarray(value)
         if item.attributes.get("weak_type") and value.ndim == 0:

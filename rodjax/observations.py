@@ -184,7 +184,7 @@ def positions_at(
     return jnp.where(inside, begin + x * cubic, jnp.nan)
 
 
-def _node_numbers(nodes, count):
+def _node_numbers(nodes, count) -> Int[Array, " m"] | np.ndarray:
     if nodes is None:
         return np.arange(count)
     nodes = nodes if hasattr(nodes, "dtype") else np.asarray(nodes)

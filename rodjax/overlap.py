@@ -19,7 +19,7 @@ import jax.core
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 from rodjax.compilation import compiled
 from rodjax.contact import Contact, Sites, sites
@@ -96,7 +96,7 @@ def _nearest(contact: Contact, limits: _Limits, joints) -> Overlap | None:
     chords = joints[1:] - joints[:-1]
     reach = np.max(held) + np.sqrt(np.max(np.sum(chords**2, 1)))
     middles = 0.5 * (joints[1:] + joints[:-1])
-    pairs = cKDTree(middles).query_pairs(reach, output_type="ndarray")
+    pairs = KDTree(middles).query_pairs(reach, output_type="ndarray")
     length = float(where.spacing) * contact.points_per_segment
     whole = length * contact.segments
     apart = np.abs(pairs[:, 1] - pairs[:, 0])

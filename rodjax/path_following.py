@@ -113,7 +113,7 @@ def follow(
     elastic = jnp.mean(scene.rod.stiffness[:, :2]) / jnp.sum(scene.rod.length) ** 2
     spinning = spin_resistance(scene)
 
-    def equations(target, reference, sigma=0.0, repeats=0.0):
+    def equations(target, reference, sigma: Array | float = 0.0, repeats: Array | float = 0.0):
         position, quaternion = reference
         ramp = Ramp(target, lacking)
         resistance = sigma * weight
@@ -145,6 +145,7 @@ def follow(
             halving = lambda step: far(step) & (step > smallest)
             step = lax.while_loop(halving, lambda step: 0.5 * step, step)
             driven = far(step)
+            assert driven is not None  # an end turns
         pick = lambda a, b: jax.tree.map(lambda a, b: jnp.where(descent.active, a, b), a, b)
         target = jnp.where(opening, path.reached, pick(descent.target, whole(step)))
         here = _configuration(equations(path.reached, path.reference), path.x)

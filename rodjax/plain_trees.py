@@ -16,7 +16,7 @@ from typing import TypeVar
 
 import h5py
 import numpy as np
-from h5py import h5a, h5d, h5g, h5l, h5o, h5s, h5t
+from h5py import h5a, h5d, h5g, h5l, h5o, h5s, h5t  # pyright: ignore[reportAttributeAccessIssue]
 
 from rodjax.results import ModelWarning
 from rodjax.sealed_files import StorageError, frames
@@ -210,6 +210,7 @@ class _PlainReader:
             name = attribute.name.decode("utf-8")
             value = h5py.AttributeManager(_Holder(item))[name]
             value = value.decode("utf-8") if isinstance(value, bytes) else value
+            assert not isinstance(value, h5py.Empty)  # of a scalar space, so it holds one
             found[name] = value if isinstance(value, str) else value.item()
             self.count(len(value) if isinstance(value, str) else 0)
         return found

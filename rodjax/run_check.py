@@ -78,9 +78,8 @@ def check(scene: Scene, run: Run, method: GeneralizedAlpha | None = None) -> Fin
         topics |= _schedules(scene, run, method)
     if good and len(run.times) > 1 and scene.rod.mass is not None:
         topics |= _time(scene, run, method)
-    if good and scene.contact is not None:
-        topics |= _contact(scene, run)
     if good:
+        topics |= _contact(scene, run)
         topics |= _stable(scene, run)
     return Findings(tuple(f for f in topics.values() if f is not None), tuple(topics))
 
@@ -164,11 +163,14 @@ def _time(scene: Scene, run: Run, method) -> dict[str, Finding | None]:
 
 
 def _contact(scene: Scene, run: Run) -> dict[str, Finding | None]:
+    the_contact = scene.contact
+    if the_contact is None:
+        return {}
     found = measures.contacts(scene, run)
     ratio = float(np.min(np.asarray(found.smallest)))
     if not np.isfinite(ratio):
         return {}
-    the_contact, where = scene.contact, contact.sites(scene.contact, scene.rod)
+    where = contact.sites(the_contact, scene.rod)
     diameter = np.max(np.asarray(where.diameter))
     mass = None if where.mass is None else jnp.mean(where.mass)
     pair = PairProperties(jnp.asarray(diameter), mass)

@@ -61,7 +61,7 @@ def write_run(
         for name, part in {"scene": scene, "run": run, **others}.items():
             write(file, name, part, name, units.time if name == "schedule" else None)
         for name, unit in (measure_units or {}).items():
-            if name not in (others["measures"] or {}) or name not in file["measures"]:
+            if name not in (others["measures"] or {}) or f"measures/{name}" not in file:
                 raise StorageError(f"measure_units: '{name}' is no array among the measures")
             file[f"measures/{name}"].attrs["units"] = unit
         frames = jnp.asarray(run.states.quaternion)

@@ -96,6 +96,7 @@ def begin(control: StepControl, span: float, dtype, resume: Control | None = Non
 
 def near_end(control: Control, left: Float[Array, ""]) -> Control:
     """The control with a note of itself if the run's end is nearer than two steps."""
+    assert control.next_dt is not None and control.next_growth is not None  # `begin` gives both
     now = (control.landing < 0) & (left < 2 * control.dt)
     return control._replace(
         landing=jnp.where(now, 0, control.landing).astype(jnp.int32),
