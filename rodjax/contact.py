@@ -170,8 +170,14 @@ class Contact(eqx.Module):
         reach = self.excluded
         if any(isinstance(x, jax.core.Tracer) for x in (length, reach)):
             return
-        if np.any(np.asarray(reach) >= np.asarray(length)):
-            raise ValueError("exclusion: as long as the rod; no two points could interact")
+        longest, shortest = np.max(np.asarray(reach)), np.min(np.asarray(length))
+        if longest >= shortest:
+            name = "cutoff" if self.exclusion is None else "exclusion"
+            raise ValueError(
+                f"{name}: points within {longest:.3g} of each other along the rod never interact,"
+                f" which is all of its length {shortest:.3g}; give less, about the distance at"
+                " which the law has faded"
+            )
         needed = self._partners(rod)
         if self.pairs_per_segment is not None and needed > self.pairs_per_segment:
             raise ValueError(

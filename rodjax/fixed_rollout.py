@@ -103,8 +103,17 @@ def check_times(scene: Scene, state: State, times: Float[Array, " k"]) -> None:
     """Raise ValueError unless the times suit the scene (outside traced code)."""
     given = np.asarray(times)
     steps = np.diff(np.concatenate([[float(state.time)], given]))
-    if not np.all(np.isfinite(given)) or np.any(steps <= 0):
-        raise ValueError("times: must be finite and increase from after the state's time")
+    if not np.all(np.isfinite(steps)):
+        raise ValueError("times: must be finite")
+    if steps[0] <= 0:
+        raise ValueError(
+            f"times: the first step must end after the state's time {float(state.time):g}, but ends"
+            f" at {given[0]:g}; give the ends of steps alone, without the time of the state itself"
+            " (times[1:])"
+        )
+    if np.any(steps <= 0):
+        k = int(np.argmax(steps <= 0))
+        raise ValueError(f"times: must increase, but {given[k]:g} comes after {given[k - 1]:g}")
     scene.check_until(float(given[-1]))
     for switch in map(float, scene.switch_times):
         if not float(state.time) < switch < given[-1]:

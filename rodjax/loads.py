@@ -301,7 +301,10 @@ class PointLoad(AbstractLoad):
 
     def check(self, rod):
         if known(self.node) and not -rod.elements - 1 <= int(self.node) <= rod.elements:
-            raise ValueError(f"node: {self.node} is not one of the {rod.elements + 1} nodes")
+            raise ValueError(
+                f"node: a rod of {rod.elements} elements has the nodes 0 to {rod.elements}, or"
+                f" {-rod.elements - 1} to -1, got {int(self.node)}"
+            )
 
     def wrench(self, rod, motion):
         nodes = rod.elements + 1

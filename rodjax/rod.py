@@ -306,7 +306,8 @@ def curved_rod(
     if known(speed) and not np.all(np.abs(speed - 1) <= 0.01):
         raise ValueError(
             "curve: must be parametrised by arc length; |d curve/ds| ranges over"
-            f" [{np.min(speed):.4g}, {np.max(speed):.4g}]"
+            f" [{np.min(speed):.4g}, {np.max(speed):.4g}]; where it has another parameter give its"
+            " points (k, 3) instead, which are measured"
         )
     tangents = tangents / size[:, None]
     if known(tangents) and np.any(np.sum(tangents[1:] * tangents[:-1], 1) < -0.9):

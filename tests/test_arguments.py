@@ -110,7 +110,7 @@ SLIPS = {
         lambda: rx.straight_rod(1.0, 10**12, SECTION),
     ),
     "curve by its angle": (
-        "curve: must be parametrised by arc length",
+        "curve: must be parametrised by arc length.* give its points",
         lambda: rx.curved_rod(lambda s: [jnp.cos(s), 2 * jnp.sin(s), 0.0], 6.0, 8, SECTION),
     ),
     # starts and runs
@@ -128,6 +128,14 @@ SLIPS = {
     "no time": ("end_time: give the time", lambda: rx.adaptive_rollout(SCENE, STATE)),
     "times as a number": (r"times: .*linspace", lambda: rx.rollout(SCENE, STATE, 1.0)),
     "no times": (r"times: .*linspace", lambda: rx.rollout(SCENE, STATE)),
+    "time of the state among the times": (
+        r"times: the first step must end after the state's time 0, .*\(times\[1:\]\)",
+        lambda: rx.rollout(SCENE, STATE, np.linspace(0.0, 0.1, 3)),
+    ),
+    "times that fall": (
+        "times: must increase, but 0.1 comes after 0.2",
+        lambda: rx.rollout(SCENE, STATE, [0.2, 0.1]),
+    ),
     "scene and state exchanged": ("scene: give a Scene", lambda: rx.rollout(STATE, SCENE, [0.1])),
     "class of a method": (
         "method: GeneralizedAlpha is a class",
@@ -136,6 +144,14 @@ SLIPS = {
     "control for a method": (
         "method: give GeneralizedAlpha",
         lambda: rx.adaptive_rollout(SCENE, STATE, 1.0, rx.StepControl()),
+    ),
+    "node beyond the last": (
+        "node: a rod of 8 elements has the nodes 0 to 8 .* got 9",
+        lambda: scene(rx.Clamped(), loads=(rx.PointLoad(9, rx.Constant((0, 0, 1.0))),)),
+    ),
+    "cut-off as long as the rod": (
+        "cutoff: points within 1.5 of each other along the rod never interact",
+        lambda: scene(contact=rx.Contact(rx.Penalty(1e6), segments=40, cutoff=1.0)),
     ),
     "state of another grid": (
         r"state: is one of 6 nodes, .* 9.*regrid\(state, rod\)",
