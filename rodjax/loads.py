@@ -318,7 +318,7 @@ class PointLoad(AbstractLoad):
         else:
             moment = rotations.rotate_inverse(frame, moment)
         both = jnp.concatenate([force, moment])
-        here = jnp.arange(nodes)[:, None] == node
+        here = jnp.arange(nodes, dtype=node.dtype)[:, None] == node
         elsewhere = jnp.where((node >= 0) & (node < nodes), 0.0, jnp.nan)
         return jnp.where(here, both, elsewhere.astype(both.dtype))
 

@@ -17,6 +17,7 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
@@ -27,10 +28,10 @@ from rodjax.scene import Scene, projectors
 from rodjax.statics import StaticEquations, load_tangent, moving_weight
 
 # Rows of a block in the order of its columns: (force, constraint, moment).
-_ORDER = jnp.array([3, 4, 5, 0, 1, 2, 6, 7, 8])
+_ORDER = np.array([3, 4, 5, 0, 1, 2, 6, 7, 8])
 
 # Columns of a block that are motions of its node.
-_MOTION = jnp.array([0, 1, 2, 6, 7, 8])
+_MOTION = np.array([0, 1, 2, 6, 7, 8])
 
 # How stiff what holds an end is, in scaled units: two clamps may hold the same thing twice.
 _END_COMPLIANCE = 1e-9
