@@ -87,9 +87,11 @@ def _tangent(equations: StaticEquations, x) -> _Tangent:
     scene, motion, force = equations.scene, equations.motion(x), equations.force(x)
     elements = balance.element_tangent(scene.rod, motion.position, motion.quaternion, force)
     node = load_tangent(scene, motion, equations.ramp.factor)
-    # by spins of the body a moment m that is not balanced leaves hat(m)/2 in the tangent; what the
-    # path's start lacks is none of the rod's loads
+    # by spins of the body a moment m that is not balanced leaves hat(m)/2 in the tangent; neither
+    # what the path's start lacks nor a resistance is one of the rod's loads
     lacking = (1 - equations.ramp.factor) * equations.ramp.imbalance.moment
+    if equations.resistance is not None:
+        lacking = lacking - equations.resistance[:, 3:] * x[:, 6:]
     node = node.at[:, 3:, 3:].add(-0.5 * rotations.hat(lacking))
     blocks = _ordered(equations, elements, node)
     return _Tangent(elements, node, blocks)
