@@ -170,13 +170,13 @@ class Contact(eqx.Module):
         reach = self.excluded
         if any(isinstance(x, jax.core.Tracer) for x in (length, reach)):
             return
-        longest, shortest = np.max(np.asarray(reach)), np.min(np.asarray(length))
-        if longest >= shortest:
+        reach, length = np.asarray(reach), np.asarray(length)
+        if np.any(reach >= length):
             name = "cutoff" if self.exclusion is None else "exclusion"
             raise ValueError(
-                f"{name}: points within {longest:.3g} of each other along the rod never interact,"
-                f" which is all of its length {shortest:.3g}; give less, about the distance at"
-                " which the law has faded"
+                f"{name}: points within {np.max(reach):.3g} of each other along the rod never"
+                f" interact, which is all of its length {np.min(length):.3g}; give less, about the"
+                " distance at which the law has faded"
             )
         needed = self._partners(rod)
         if self.pairs_per_segment is not None and needed > self.pairs_per_segment:

@@ -146,7 +146,7 @@ SLIPS = {
         lambda: rx.adaptive_rollout(SCENE, STATE, 1.0, rx.StepControl()),
     ),
     "node beyond the last": (
-        "node: a rod of 8 elements has the nodes 0 to 8 .* got 9",
+        "node: a rod of 8 elements has the nodes 0 to 8, or -9 to -1, got 9",
         lambda: scene(rx.Clamped(), loads=(rx.PointLoad(9, rx.Constant((0, 0, 1.0))),)),
     ),
     "cut-off as long as the rod": (
