@@ -78,10 +78,10 @@ class Contact(eqx.Module):
         numbers = given(aperture=self.aperture, exclusion=self.exclusion)
         check_scalar(cutoff=self.cutoff, edge=self.edge, **numbers)
         check_positive(cutoff=self.cutoff, **numbers)
-        for name, high in {"aperture": np.pi, "edge": 1.0}.items():
+        for name, high, unit in (("aperture", np.pi, " radians"), ("edge", 1.0, "")):
             value = getattr(self, name)
             if known(value) and not 0 < float(value) <= high:
-                raise ValueError(f"{name}: must be in (0, {high:g}], got {value}")
+                raise ValueError(f"{name}: must be in (0, {high:g}]{unit}, got {value}")
         concrete = known(self.exclusion) and known(self.cutoff)
         if concrete and np.any(np.asarray(self.exclusion) < np.asarray(self.cutoff)):
             raise ValueError(

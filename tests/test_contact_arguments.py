@@ -43,6 +43,7 @@ GIVEN = {"segments": 20, "cutoff": 0.1}
         ({"cutoff": [0.1, 0.2]}, "^cutoff"),
         ({"edge": {}}, "^edge"),
         ({"aperture": np.nan}, "^aperture"),
+        ({"aperture": 120.0}, "^aperture: must be in .* radians"),
         ({"exclusion": "far"}, "^exclusion"),
         ({"exclusion": np.nan}, "^exclusion"),
     ],
