@@ -66,8 +66,8 @@ def contact_energy(contact: Contact, rod: Rod, position: Float[Array, "nodes 3"]
     where = sites(contact, rod)
     near = search(contact, where, position)
     joints = interpolate(where, position)
-    part = (jnp.arange(contact.points_per_segment) + 0.5) / contact.points_per_segment
-    part = part.astype(position.dtype)
+    count = contact.points_per_segment
+    part = (jnp.arange(count, dtype=position.dtype) + 0.5) / count
     padded = -(-near.first.shape[0] // BLOCK) * BLOCK
     index = jnp.arange(padded, dtype=near.count.dtype).reshape(-1, BLOCK)
 
