@@ -104,7 +104,8 @@ def _held_by_loads(scene: Scene, state: State, free, time) -> int:
 
     def moved(position, quaternion, motion):
         turn = rotations.exponential(jnp.asarray(motion[3:]))
-        arm = position - place[0]
+        turn = jnp.broadcast_to(turn, quaternion.shape)
+        arm = jnp.asarray(position - place[0])
         position = place[0] + length * motion[:3] + np.asarray(rotations.rotate(turn, arm))
         return position, rotations.multiply(turn, quaternion)
 
