@@ -210,7 +210,8 @@ def _known(values):
         if known(value) or isinstance(value, int | float | list | tuple):
             if isinstance(value, list | tuple) and not known(_array(value)):
                 continue  # of tracers
-            yield name, np.asarray(value)
+            large = isinstance(value, int) and abs(value) >= 2**63  # no integer of an array's
+            yield name, np.asarray(_made(value) if large else value)
 
 
 def _described(shape: tuple[int, ...]) -> str:

@@ -118,6 +118,16 @@ def test_checks_of_values(check, good, bad):
             check(width=np.asarray([[1.0, 1.0], [value, 1.0]]))
 
 
+@pytest.mark.parametrize("check", [check_finite, check_positive, check_not_negative])
+def test_whole_numbers_of_any_size_are_numbers(check):
+    check(width=10**30)
+    if check is not check_finite:
+        with pytest.raises(ValueError, match=r"^width: must be .*, got -1e\+30$"):
+            check(width=-(10**30))
+    with pytest.raises(ValueError, match="^width: must be a real number"):
+        check(width=10**400)
+
+
 def test_shapes():
     check_scalar(a=1.0, b=jnp.ones(()), c=np.float32(1))
     check_shape((3,), a=[1, 2, 3], b=jnp.ones(3))
