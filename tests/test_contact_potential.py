@@ -203,7 +203,7 @@ def test_ends_of_a_ring_are_neighbours():
     assert ring.contact.closed
     still = jnp.zeros_like(rod.position)
     assert float(report(ring.contact, rod, rod.position, still).total) == 0
-    flat = rod.position * jnp.asarray([1.0, 1.0, 0.12])
+    flat = rod.position * jnp.asarray([[1.0, 1.0, 0.12]])
     pressed = report(ring.contact, rod, flat, still)
     assert float(pressed.total) > 0
     # apart only where the strands are, a quarter along
