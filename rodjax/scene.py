@@ -50,7 +50,8 @@ class Scene(eqx.Module):
         positions, diameter = self.rod.position, self.rod.diameter
         if not (known(positions) and known(diameter) and positions.ndim == 2):
             return False
-        gap = np.linalg.norm(np.asarray(positions[-1]) - np.asarray(positions[0]))
+        places = np.asarray(positions)  # before it is indexed: in traced code that would be traced
+        gap = np.linalg.norm(places[-1] - places[0])
         # nearer than any two solid strands
         if not gap < 0.5 * np.min(np.asarray(diameter)):
             return False

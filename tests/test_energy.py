@@ -79,7 +79,7 @@ def test_axial_energy_of_a_stretched_and_sheared_rod():
     drag = LinearDrag(1.0, 1.0, 1.0)
     scene = Scene(rod.straight_rod(2.0, ELEMENTS, section), loads=(drag,))
     strain = jnp.array([0.02, 0.03, 0.1])
-    state = state_of(scene.rod, position=scene.rod.arc_length[:, None] * (AXIS + strain))
+    state = state_of(scene.rod, position=scene.rod.arc_length[:, None] * (AXIS + strain)[None])
     frame = rotations.matrix(scene.rod.quaternion[0])
     local = frame.T @ strain
     expected = 2.0 * 0.5 * (local[0] ** 2 / 0.5 + local[2] ** 2 / 0.01)

@@ -187,7 +187,8 @@ def test_failed_step_is_reported():
         paper_rollout(scene, start(scene), jnp.asarray([0.1, 0.2]), method)
     run = paper_rollout(scene, start(scene), jnp.asarray([0.1, 0.2]), method, throw=False)
     assert Result(int(run.result)) is Result.NEWTON_FAILED
-    np.testing.assert_array_equal(run.final.position, scene.rod.position)
+    np.testing.assert_array_equal(run.states.position[0], scene.rod.position)
+    assert np.all(np.isnan(run.states.position[1:])) and np.all(np.isnan(run.final.velocity))
 
 
 def replaced(**changes):

@@ -138,7 +138,7 @@ def test_sample_takes_constants_arrays_and_functions():
 @given(st.floats(1e-6, 1e6), st.floats(1e-3, 1e12), st.floats(1e-3, 1e12), st.floats(1e-3, 1e5))
 def test_circular_section(diameter, youngs, shear, density):
     rod = straight_rod(
-        1.0,
+        10 * diameter,
         3,
         circular_section(diameter, youngs, shear, density, extensible=True, shear_factor=0.9),
     )
