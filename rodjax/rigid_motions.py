@@ -73,11 +73,14 @@ def check_held(
 
 def _free_motions(scene: Scene, state: State, both, spin: bool):
     """Rigid motions that the ends allow: translation over the length, rotation about node 0."""
-    length = float(jnp.sum(scene.rod.length))
+    # by numpy: under a transformation even a known value becomes traced by a `custom_jvp`
+    length = float(np.sum(np.asarray(scene.rod.length)))
+    position, quaternion = np.asarray(state.position), np.asarray(state.quaternion)
     rows = []
     for index, projector in zip((0, -1), both, strict=True):
-        arm = np.asarray(state.position[index] - state.position[0]) / length
-        frame = np.asarray(rotations.matrix(state.quaternion[index]))
+        arm = (position[index] - position[0]) / length
+        w, v = quaternion[index, 0], quaternion[index, 1:]
+        frame = np.eye(3) + 2 * (w * _skew(v) + _skew(v) @ _skew(v))
         translation = np.concatenate([np.eye(3), -_skew(arm)], 1)
         rotation = np.concatenate([np.zeros((3, 3)), frame.T], 1)
         rows.append(projector @ np.concatenate([translation, rotation]))

@@ -213,8 +213,9 @@ def twist_scene(turns, last=None):
 
 def test_driven_end_twists_a_straight_rod_by_its_torque():
     scene = twist_scene(-3.0)
-    state, info = equilibrium(scene, placing(scene), time=1.0)
-    assert info.result == Result.SUCCESS
+    # three turns are beyond what the straight shaft can bear: it is taken knowingly
+    state, info = equilibrium(scene, placing(scene), time=1.0, relax=False)
+    assert info.result == Result.SUCCESS and info.unstable > 0
     rod = scene.rod
     torque = 6 * np.pi / jnp.sum(rod.length / rod.stiffness[:, 2])
     np.testing.assert_allclose(
@@ -224,7 +225,7 @@ def test_driven_end_twists_a_straight_rod_by_its_torque():
     assert float(state.time) == 1.0
     # half-way there and on from there: the same
     halfway, _ = equilibrium(scene, placing(scene), time=0.5)
-    again, _ = equilibrium(scene, halfway, time=1.0)
+    again, _ = equilibrium(scene, halfway, time=1.0, relax=False)
     np.testing.assert_allclose(again.quaternion, state.quaternion, atol=1e-9)
 
 
