@@ -494,6 +494,9 @@ def constructions(seed, number):
     return faults
 
 
+# words of equinox and jax that come before our error, which must still come
+@pytest.mark.filterwarnings("ignore:A JAX array is being set as static:UserWarning")
+@pytest.mark.filterwarnings("ignore:Python iterable type:DeprecationWarning")
 @pytest.mark.filterwarnings("ignore::rodjax.results.ModelWarning")
 @pytest.mark.parametrize(
     ("seed", "number"), [(0, 200), pytest.param(1, 3000, marks=pytest.mark.slow)]
