@@ -33,7 +33,7 @@ def along(curve: Callable, s: np.ndarray | Array) -> np.ndarray | Array:
     return jax.vmap(lambda place: jnp.asarray(curve(place)))(s)
 
 
-def through(points: Any, length: Any = None) -> tuple[Callable, Array]:
+def through(points: Any, length: Any = None) -> tuple[Callable, np.floating | np.ndarray | Array]:
     """The cubic spline through points (k, 3) as a function of arc lengths (m,), and its length.
 
     `length` is that of the rod to be: where it is traced the arc lengths will be.

@@ -54,7 +54,9 @@ def direction_of(value: Vector, name: str) -> np.ndarray | Array:
     return along / np.linalg.norm(along)
 
 
-def grid(length: Number, elements: int, jumps: Sequence[Number] = ()) -> np.ndarray | Array:
+def grid(
+    length: Number | np.ndarray | Array, elements: int, jumps: Sequence[Number] = ()
+) -> np.ndarray | Array:
     """Arc lengths of the nodes, equally spaced between the given `jumps` of the properties.
 
     Every jump becomes a node, so that no element straddles it; elements are shared out so that

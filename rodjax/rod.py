@@ -213,14 +213,14 @@ def _check_values(name, value):
 
 
 def straight_rod(
-    length: Number,
+    length: Number | np.ndarray | Array,
     elements: int,
     section: Section | Callable[[np.ndarray], Section],
     *,
     direction: Vector = (0.0, 0.0, 1.0),
     first_director: Vector | None = None,
     origin: Vector = (0.0, 0.0, 0.0),
-    natural_curvature: Sequence[Property] = (0.0, 0.0, 0.0),
+    natural_curvature: Sequence[Property | Sequence[Number]] | np.ndarray | Array = (0.0, 0.0, 0.0),
     jumps: Sequence[Number] = (),
 ) -> Rod:
     """A rod placed straight along `direction`, its node s = 0 at `origin`.
@@ -249,8 +249,8 @@ def straight_rod(
 
 
 def curved_rod(
-    curve: Callable[[Array], Array] | np.ndarray | Array,
-    length: Number | None,
+    curve: Callable[[Array], Array] | Sequence | np.ndarray | Array,
+    length: Number | np.ndarray | Array | None,
     elements: int,
     section: Section | Callable[[np.ndarray], Section],
     *,
@@ -332,7 +332,7 @@ def build_rod(
     position: np.ndarray | Array,
     quaternion: np.ndarray | Array,
     section: Section | Callable[[np.ndarray], Section],
-    natural_curvature: Sequence[Property],
+    natural_curvature: Sequence[Property | Sequence[Number]] | np.ndarray | Array,
 ) -> Rod:
     """A `Rod` from node arc lengths, a placing and a section; the other builders end here."""
     midpoints = 0.5 * (nodes[1:] + nodes[:-1])

@@ -47,10 +47,10 @@ class Section(eqx.Module):
         area: of the section [m^2]; of buoyancy and added mass.
     """
 
-    stiffness: Sequence[Property]
+    stiffness: Sequence[Property | Sequence[Number]] | np.ndarray | Array
     mass: Property | None = None
-    rotary_inertia: Sequence[Property] | None = None
-    compliance: Sequence[Property] | None = None
+    rotary_inertia: Sequence[Property | Sequence[Number]] | np.ndarray | Array | None = None
+    compliance: Sequence[Property | Sequence[Number]] | np.ndarray | Array | None = None
     diameter: Property | None = None
     area: Property | None = None
 
@@ -164,7 +164,7 @@ def circular_section(
     youngs, shear, factor = map(as_float, (youngs_modulus, shear_modulus, shear_factor))
     weight = None if density is None else as_float(density)
 
-    def at(midpoints: np.ndarray) -> Section:
+    def at(midpoints: np.ndarray | Array) -> Section:
         d = sample(diameter, midpoints, "diameter")
         check_positive(diameter=d)
         area = jnp.pi * d**2 / 4
