@@ -15,6 +15,7 @@ from jax import lax
 from jaxtyping import Array, Float
 
 from rodjax import balance, contact_forces, ends, inertia, newton, rotations, start_checks
+from rodjax.argument_types import AnyArray
 from rodjax.arguments import check_scene
 from rodjax.balance import Scales
 from rodjax.block_tridiagonal import BlockTridiagonal
@@ -31,10 +32,10 @@ from rodjax.validation import check_finite, check_numbers, check_scalar
 def start(
     scene: Scene,
     *,
-    position: Float[Array, "nodes 3"] | None = None,
-    quaternion: Float[Array, "nodes 4"] | None = None,
-    velocity: Float[Array, "nodes 3"] | None = None,
-    angular_velocity: Float[Array, "nodes 3"] | None = None,
+    position: Float[AnyArray, "nodes 3"] | None = None,
+    quaternion: Float[AnyArray, "nodes 4"] | None = None,
+    velocity: Float[AnyArray, "nodes 3"] | None = None,
+    angular_velocity: Float[AnyArray, "nodes 3"] | None = None,
     time: float | Float[Array, ""] = 0.0,
 ) -> State:
     """Consistent state at the start of a run.

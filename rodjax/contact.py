@@ -15,9 +15,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from rodjax.argument_types import Number
 from rodjax.contact_checks import check_law
 from rodjax.contact_laws import AbstractLaw, Penalty
-from rodjax.rod import Number, Rod
+from rodjax.rod import Rod
 from rodjax.validation import (
     as_float,
     as_float_or_none,

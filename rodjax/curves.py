@@ -7,8 +7,8 @@ import jax
 import jax.core
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array
 
+from rodjax.argument_types import AnyArray
 from rodjax.framing import module_of, vector
 from rodjax.user_functions import called, returned
 from rodjax.validation import array_of, check_finite, check_numbers, known, shown
@@ -18,7 +18,7 @@ _GAUSS = np.polynomial.legendre.leggauss(8)
 _NEWTON = 5  # iterations for the parameter at an arc length, from a guess that is nearly right
 
 
-def along(curve: Callable, s: np.ndarray | Array) -> np.ndarray | Array:
+def along(curve: Callable, s: AnyArray) -> AnyArray:
     """Positions (k, 3) of a curve at arc lengths (k,): traced where the curve or they are."""
     if not isinstance(s, jax.core.Tracer):
         first = called("curve", curve, s[0])
@@ -33,7 +33,7 @@ def along(curve: Callable, s: np.ndarray | Array) -> np.ndarray | Array:
     return jax.vmap(lambda place: jnp.asarray(curve(place)))(s)
 
 
-def through(points: Any, length: Any = None) -> tuple[Callable, np.floating | np.ndarray | Array]:
+def through(points: Any, length: Any = None) -> tuple[Callable, np.floating | AnyArray]:
     """The cubic spline through points (k, 3) as a function of arc lengths (m,), and its length.
 
     `length` is that of the rod to be: where it is traced the arc lengths will be.

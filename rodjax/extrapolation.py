@@ -14,7 +14,7 @@ from typing import TypeVar
 import jax
 import jax.numpy as jnp
 
-from rodjax.rod import Number
+from rodjax.argument_types import Number
 from rodjax.validation import check_numbers, check_scalar
 
 Values = TypeVar("Values")

@@ -1,6 +1,7 @@
 """Rollouts over given times, by `lax.scan`: what gradients pass through."""
 
 import dataclasses
+from collections.abc import Sequence
 from functools import partial
 
 import equinox as eqx
@@ -9,9 +10,10 @@ import jax.core
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
-from jaxtyping import Array, Float
+from jaxtyping import Float
 
 from rodjax import newton, resolution, results
+from rodjax.argument_types import AnyArray
 from rodjax.arguments import check_motion, check_step_times
 from rodjax.coarseness import warn_if_hopeless
 from rodjax.compilation import compiled
@@ -36,7 +38,7 @@ def _is_traced(*trees) -> bool:
 def rollout(
     scene: Scene,
     state: State,
-    times: Float[Array, " k"] | None = None,
+    times: Float[AnyArray, " k"] | Sequence[float] | None = None,
     method: GeneralizedAlpha | None = None,
     *,
     save_every: int = 1,
@@ -99,7 +101,7 @@ def rollout(
     return run
 
 
-def check_times(scene: Scene, state: State, times: Float[Array, " k"]) -> None:
+def check_times(scene: Scene, state: State, times: Float[AnyArray, " k"] | Sequence[float]) -> None:
     """Raise ValueError unless the times suit the scene (outside traced code)."""
     given = np.asarray(times)
     steps = np.diff(np.concatenate([[float(state.time)], given]))

@@ -11,8 +11,8 @@ import jax.core
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
-from jaxtyping import Array
 
+from rodjax.argument_types import AnyArray, Number, Vector
 from rodjax.validation import (
     array_of,
     as_integer,
@@ -26,23 +26,20 @@ from rodjax.validation import (
     shown,
 )
 
-Number = float | int
-Vector = Sequence[Number] | np.ndarray | Array
-
 
 def module_of(*arrays):
     """jax.numpy where one of them is traced, else numpy."""
     return jnp if any(isinstance(array, jax.core.Tracer) for array in arrays) else np
 
 
-def vector(value: Vector, name: str) -> np.ndarray | Array:
+def vector(value: Vector, name: str) -> AnyArray:
     """Three finite components."""
     check_shape((3,), **{name: value})
     check_finite(**{name: value})
     return array_of(value)
 
 
-def direction_of(value: Vector, name: str) -> np.ndarray | Array:
+def direction_of(value: Vector, name: str) -> AnyArray:
     """The unit vector along one that is not zero."""
     along = vector(value, name)
     if not known(along):
@@ -54,9 +51,7 @@ def direction_of(value: Vector, name: str) -> np.ndarray | Array:
     return along / np.linalg.norm(along)
 
 
-def grid(
-    length: Number | np.ndarray | Array, elements: int, jumps: Sequence[Number] = ()
-) -> np.ndarray | Array:
+def grid(length: Number | AnyArray, elements: int, jumps: Sequence[Number] = ()) -> AnyArray:
     """Arc lengths of the nodes, equally spaced between the given `jumps` of the properties.
 
     Every jump becomes a node, so that no element straddles it; elements are shared out so that
@@ -92,7 +87,7 @@ def grid(
     return np.concatenate([[0.0], *pieces])
 
 
-def first_frame(tangent, first_director) -> np.ndarray | Array:
+def first_frame(tangent, first_director) -> AnyArray:
     """Quaternion of the frame (a_1, a_2, a_3 = tangent) with a_1 as near as can be to the given."""
     xp = module_of(tangent)
     if first_director is None:
@@ -129,7 +124,7 @@ def _from_matrix(xp, m, trace, k):
     return xp.stack([parts[place] for place in range(4)])
 
 
-def carried(tangents, first) -> np.ndarray | Array:
+def carried(tangents, first) -> AnyArray:
     """Frames (k, 4) along unit tangents (k, 3), from the first without twist."""
     turns = shortest(tangents[:-1], tangents[1:])
     if module_of(tangents, first) is np:
@@ -146,14 +141,14 @@ def carried(tangents, first) -> np.ndarray | Array:
     return jnp.concatenate([first[None], lax.scan(one, first, turns)[1]])
 
 
-def shortest(a, b) -> np.ndarray | Array:
+def shortest(a, b) -> AnyArray:
     """Quaternions of the smallest rotations that take unit vectors a to b."""
     xp = module_of(a, b)
     q = xp.concatenate([1 + xp.sum(a * b, -1, keepdims=True), xp.cross(a, b)], -1)
     return q / xp.sqrt(xp.sum(q * q, -1, keepdims=True))
 
 
-def multiply(p, q) -> np.ndarray | Array:
+def multiply(p, q) -> AnyArray:
     """Products of quaternions."""
     xp = module_of(p, q)
     real = p[..., :1] * q[..., :1] - xp.sum(p[..., 1:] * q[..., 1:], -1, keepdims=True)

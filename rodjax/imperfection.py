@@ -6,7 +6,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from rodjax.rod import Number, Rod
+from rodjax.argument_types import Number
+from rodjax.rod import Rod
 from rodjax.validation import check_not_negative
 
 

@@ -16,6 +16,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from rodjax import newton, results, rotations
+from rodjax.argument_types import Number
 from rodjax.arguments import check_motion, check_scene
 from rodjax.compilation import compiled
 from rodjax.overlap import check_apart, overcome
@@ -30,7 +31,6 @@ from rodjax.path_following import (
 )
 from rodjax.results import ModelWarning, Result
 from rodjax.rigid_motions import check_held
-from rodjax.rod import Number
 from rodjax.scene import Scene
 from rodjax.start_checks import check_held_once
 from rodjax.state import State

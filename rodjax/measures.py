@@ -10,6 +10,7 @@ from jax import lax
 from jaxtyping import Array, Float
 
 from rodjax import balance, contact_forces, energy, rotations, topology
+from rodjax.argument_types import AnyArray
 from rodjax.compilation import compiled
 from rodjax.contact_forces import ContactReport
 from rodjax.ends import Turn
@@ -174,7 +175,9 @@ class Apex(NamedTuple):
     tangent: Float[Array, "3"]
 
 
-def apex(state: State, axis: Float[Array, "3"], origin: Float[Array, "3"] | None = None) -> Apex:
+def apex(
+    state: State, axis: Float[AnyArray, "3"], origin: Float[AnyArray, "3"] | None = None
+) -> Apex:
     """The apex of a state from the line along `axis` through `origin` (default: the node s = 0).
 
     The node farthest from the line, refined by the parabola through the squared distances of it
@@ -202,7 +205,7 @@ def apex(state: State, axis: Float[Array, "3"], origin: Float[Array, "3"] | None
 
 
 def apex_angle(
-    state: State, axis: Float[Array, "3"], origin: Float[Array, "3"] | None = None
+    state: State, axis: Float[AnyArray, "3"], origin: Float[AnyArray, "3"] | None = None
 ) -> Float[Array, ""]:
     """Angle between the tangent at the apex and the loading axis [rad], pi/2 when orthogonal.
 
@@ -216,7 +219,7 @@ def apex_angle(
     return jnp.arctan2(sine, jnp.sum(tangent * unit))
 
 
-def slopes(times: Float[Array, " k"], values: Float[Array, " k"]) -> Float[Array, " k"]:
+def slopes(times: Float[AnyArray, " k"], values: Float[AnyArray, " k"]) -> Float[Array, " k"]:
     """Rate of values sampled at times, from the parabola through three consecutive samples."""
     dt = jnp.diff(times)
     secant = jnp.diff(values) / dt
@@ -226,10 +229,10 @@ def slopes(times: Float[Array, " k"], values: Float[Array, " k"]) -> Float[Array
 
 
 def first_crossing(
-    times: Float[Array, " k"],
-    values: Float[Array, " k"],
+    times: Float[AnyArray, " k"],
+    values: Float[AnyArray, " k"],
     level: Float[Array, ""] | float,
-    rates: Float[Array, " k"] | None = None,
+    rates: Float[AnyArray, " k"] | None = None,
 ) -> Float[Array, ""]:
     """Time at which a sampled quantity first reaches a level from below.
 
@@ -289,7 +292,9 @@ def _hermite_root(cubic, level):
     )
 
 
-def time_of_maximum(times: Float[Array, " k"], values: Float[Array, " k"]) -> Float[Array, ""]:
+def time_of_maximum(
+    times: Float[AnyArray, " k"], values: Float[AnyArray, " k"]
+) -> Float[Array, ""]:
     """Time of the largest of values sampled at times.
 
     The vertex of the parabola through it and its two neighbours.
@@ -322,7 +327,7 @@ def buckling_time(scene: Scene, run: Run) -> Float[Array, ""]:
 
 
 def apex_orthogonal_time(
-    run: Run, axis: Float[Array, "3"], origin: Float[Array, "3"] | None = None
+    run: Run, axis: Float[AnyArray, "3"], origin: Float[AnyArray, "3"] | None = None
 ) -> Float[Array, ""]:
     """First time at which the apex tangent is orthogonal to the loading axis; inf if never.
 

@@ -175,7 +175,9 @@ def _closed(quaternion, stretch, rod, reach):
     """Frames turned a little between the ends, so that the last node comes to its place.
 
     By window * (tangent x l), with l as Newton's method finds it; along a straight rod, where no
-    small rotation reaches, nothing is done.
+    small rotation reaches, nothing is done. Where Newton's method has converged its last step
+    carries the whole derivative, so its matrix is held: the singular vectors of a straight rod
+    have no derivative.
     """
     s = rod.arc_length / jnp.sum(rod.length)
     window = (4 * s * (1 - s))[:, None]
@@ -186,7 +188,7 @@ def _closed(quaternion, stretch, rod, reach):
 
     def correct(_, l):
         miss = lambda l: _line(turned(l), stretch, rod)[-1] - reach
-        matrix = jax.jacfwd(miss)(l)
+        matrix = lax.stop_gradient(jax.jacfwd(miss)(l))
         left, singular, right = jnp.linalg.svd(matrix)
         good = singular > 1e-2 * jnp.sum(rod.length)
         along = left.T @ miss(l) / jnp.where(good, singular, 1.0)

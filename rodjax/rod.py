@@ -16,10 +16,9 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from rodjax import curves, rotations
+from rodjax.argument_types import AnyArray, Number, Vector
 from rodjax.brief import named
 from rodjax.framing import (
-    Number,
-    Vector,
     carried,
     direction_of,
     first_frame,
@@ -55,7 +54,6 @@ from rodjax.validation import (
 )
 
 __all__ = [
-    "Number",
     "Property",
     "Rod",
     "Section",
@@ -213,14 +211,14 @@ def _check_values(name, value):
 
 
 def straight_rod(
-    length: Number | np.ndarray | Array,
+    length: Number | AnyArray,
     elements: int,
     section: Section | Callable[[np.ndarray], Section],
     *,
     direction: Vector = (0.0, 0.0, 1.0),
     first_director: Vector | None = None,
     origin: Vector = (0.0, 0.0, 0.0),
-    natural_curvature: Sequence[Property | Sequence[Number]] | np.ndarray | Array = (0.0, 0.0, 0.0),
+    natural_curvature: Sequence[Property | Sequence[Number]] | AnyArray = (0.0, 0.0, 0.0),
     jumps: Sequence[Number] = (),
 ) -> Rod:
     """A rod placed straight along `direction`, its node s = 0 at `origin`.
@@ -249,8 +247,8 @@ def straight_rod(
 
 
 def curved_rod(
-    curve: Callable[[Array], Array] | Sequence | np.ndarray | Array,
-    length: Number | np.ndarray | Array | None,
+    curve: Callable[[Array], Array] | Sequence | AnyArray,
+    length: Number | AnyArray | None,
     elements: int,
     section: Section | Callable[[np.ndarray], Section],
     *,
@@ -328,11 +326,11 @@ def curved_rod(
 
 
 def build_rod(
-    nodes: np.ndarray | Array,
-    position: np.ndarray | Array,
-    quaternion: np.ndarray | Array,
+    nodes: AnyArray,
+    position: AnyArray,
+    quaternion: AnyArray,
     section: Section | Callable[[np.ndarray], Section],
-    natural_curvature: Sequence[Property | Sequence[Number]] | np.ndarray | Array,
+    natural_curvature: Sequence[Property | Sequence[Number]] | AnyArray,
 ) -> Rod:
     """A `Rod` from node arc lengths, a placing and a section; the other builders end here."""
     midpoints = 0.5 * (nodes[1:] + nodes[:-1])

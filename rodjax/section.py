@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
+from rodjax.argument_types import AnyArray, Number
 from rodjax.user_functions import called
 from rodjax.validation import (
     as_float,
@@ -19,8 +20,7 @@ from rodjax.validation import (
     shown,
 )
 
-Number = float | int
-Property = Number | np.ndarray | Array | Callable[[np.ndarray], np.ndarray]
+Property = Number | AnyArray | Callable[[np.ndarray], np.ndarray]
 
 # what three components are, for messages
 STIFFNESS = "(A1, A2, C), bending about a_1 and a_2 and torsion; for a round rod (A, A, C)"
@@ -47,10 +47,10 @@ class Section(eqx.Module):
         area: of the section [m^2]; of buoyancy and added mass.
     """
 
-    stiffness: Sequence[Property | Sequence[Number]] | np.ndarray | Array
+    stiffness: Sequence[Property | Sequence[Number]] | AnyArray
     mass: Property | None = None
-    rotary_inertia: Sequence[Property | Sequence[Number]] | np.ndarray | Array | None = None
-    compliance: Sequence[Property | Sequence[Number]] | np.ndarray | Array | None = None
+    rotary_inertia: Sequence[Property | Sequence[Number]] | AnyArray | None = None
+    compliance: Sequence[Property | Sequence[Number]] | AnyArray | None = None
     diameter: Property | None = None
     area: Property | None = None
 
@@ -88,7 +88,7 @@ def check_components(meaning: str, **properties) -> None:
             raise ValueError(refusal)
 
 
-def sample(value: Property, midpoints: np.ndarray | Array, name: str) -> Array:
+def sample(value: Property, midpoints: AnyArray, name: str) -> Array:
     """Values per element of a constant, an array or a function of s (taken at the centres)."""
     if callable(value) and not isinstance(value, type):
         hint = "it is given all arc lengths at once: numpy.where takes the place of `if`"
@@ -105,7 +105,7 @@ def sample(value: Property, midpoints: np.ndarray | Array, name: str) -> Array:
     return result
 
 
-def components(value: Any, midpoints: np.ndarray | Array, name: str, meaning: str) -> Array:
+def components(value: Any, midpoints: AnyArray, name: str, meaning: str) -> Array:
     """Values (n, 3) of three properties or of an array (n, 3)."""
     check_components(meaning, **{name: value})
     n = midpoints.shape[0]
@@ -164,7 +164,7 @@ def circular_section(
     youngs, shear, factor = map(as_float, (youngs_modulus, shear_modulus, shear_factor))
     weight = None if density is None else as_float(density)
 
-    def at(midpoints: np.ndarray | Array) -> Section:
+    def at(midpoints: AnyArray) -> Section:
         d = sample(diameter, midpoints, "diameter")
         check_positive(diameter=d)
         area = jnp.pi * d**2 / 4

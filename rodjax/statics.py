@@ -17,12 +17,12 @@ from jaxtyping import Array, Float, Int
 
 from rodjax import balance, contact_forces, ends, rotations, screening
 from rodjax.anchored import AnchoredSystem
+from rodjax.argument_types import Number
 from rodjax.balance import Internal, Scales
 from rodjax.coupled import CoupledSystem, couple, find_nearby
 from rodjax.inertia import node_jacobian
 from rodjax.loads import NodeMotion, total_wrench
 from rodjax.results import Result
-from rodjax.rod import Number
 from rodjax.scene import Scene, projectors
 from rodjax.state import State
 

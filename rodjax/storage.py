@@ -20,6 +20,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from rodjax.adaptive import adaptive_rollout
+from rodjax.argument_types import AnyArray
 from rodjax.fixed_rollout import rollout
 from rodjax.generalized_alpha import GeneralizedAlpha
 from rodjax.recorder import Recorder
@@ -103,7 +104,7 @@ def save(
     control: StepControl | None = None,
     measures: Mapping[str, Any] | None = None,
     measure_units: Mapping[str, str] | None = None,
-    schedule: Float[Array, " k"] | None = None,
+    schedule: Float[AnyArray, " k"] | None = None,
     units: Units = SI,
 ) -> None:
     """Write a run, and all that is needed to continue it, to an HDF5 file.

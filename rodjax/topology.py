@@ -15,18 +15,19 @@ from jax import lax
 from jaxtyping import Array, Float
 
 from rodjax import rotations
+from rodjax.argument_types import AnyArray
 
 _BLOCK_PAIRS = 1 << 15
 """Segment pairs handled at once: 0.25 MB for each temporary in double precision."""
 
 
 def writhe(
-    positions: Float[Array, "nodes 3"],
+    positions: Float[AnyArray, "nodes 3"],
     *,
     closed: bool = False,
     extension: Float[Array, ""] | float | None = None,
-    start_direction: Float[Array, "3"] | None = None,
-    end_direction: Float[Array, "3"] | None = None,
+    start_direction: Float[AnyArray, "3"] | None = None,
+    end_direction: Float[AnyArray, "3"] | None = None,
 ) -> Float[Array, ""]:
     """Writhe of a polygon: the signed number of crossings averaged over all views.
 
@@ -85,11 +86,11 @@ def writhe(
 
 
 def twist(
-    positions: Float[Array, "nodes 3"],
-    element_frames: Float[Array, "nodes-1 4"],
+    positions: Float[AnyArray, "nodes 3"],
+    element_frames: Float[AnyArray, "nodes-1 4"],
     *,
-    start_frame: Float[Array, "4"] | None = None,
-    end_frame: Float[Array, "4"] | None = None,
+    start_frame: Float[AnyArray, "4"] | None = None,
+    end_frame: Float[AnyArray, "4"] | None = None,
     signed: bool = False,
 ) -> Float[Array, ""]:
     """Twist of the framed polygon, such that twist + writhe is its linking number to round-off.
@@ -123,7 +124,7 @@ def twist(
 
 
 def twist_integral(
-    curvature: Float[Array, "elements 3"], lengths: Float[Array, "elements"]
+    curvature: Float[AnyArray, "elements 3"], lengths: Float[Array, "elements"]
 ) -> Float[Array, ""]:
     """Twist as the integral Tw = 1/(2 pi) int kappa . t ds, Eq. (15) of Goyal, Perkins & Lee.
 
@@ -139,11 +140,11 @@ def twist_integral(
 
 
 def linking_number(
-    positions: Float[Array, "nodes 3"],
-    element_frames: Float[Array, "nodes-1 4"],
+    positions: Float[AnyArray, "nodes 3"],
+    element_frames: Float[AnyArray, "nodes-1 4"],
     *,
-    start_frame: Float[Array, "4"] | None = None,
-    end_frame: Float[Array, "4"] | None = None,
+    start_frame: Float[AnyArray, "4"] | None = None,
+    end_frame: Float[AnyArray, "4"] | None = None,
     extension: Float[Array, ""] | float | None = None,
 ) -> Float[Array, ""]:
     """Linking number Lk = Tw + Wr of an open rod extended straight along its end tangents.

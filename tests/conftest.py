@@ -13,6 +13,8 @@ os.environ["XLA_FLAGS"] += " --xla_disable_hlo_passes=tree_reduction_rewriter"
 if tuple(map(int, importlib.metadata.version("jaxlib").split(".")[:2])) < (0, 12):
     os.environ["XLA_FLAGS"] += " --xla_cpu_use_fusion_emitters=false"
 
+from pathlib import Path
+
 import jax
 import pytest
 
@@ -81,6 +83,18 @@ PROMOTING = [
     "validation",
     "windows",
 ]
+
+
+@pytest.fixture(autouse=True, scope="module")
+def _few_programs():
+    """Let go of compiled programs before the system's limit of 65,530 maps of memory is reached.
+
+    Each program holds several; without it a worker dies by a signal after some thousand of them.
+    """
+    yield
+    maps = Path("/proc/self/maps")
+    if maps.exists() and maps.read_bytes().count(b"\n") > 20_000:
+        jax.clear_caches()
 
 
 @pytest.fixture(autouse=True, scope="module")
