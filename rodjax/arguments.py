@@ -1,8 +1,10 @@
 """What the functions of a scene and a state are given: checked once, before anything is traced."""
 
+import numpy as np
+
 from rodjax.scene import Scene
 from rodjax.state import State
-from rodjax.validation import check_instance, check_numbers, check_scalar, shown
+from rodjax.validation import check_instance, check_numbers, check_scalar, known, shown
 
 
 def check_scene(scene: Scene) -> None:
@@ -22,6 +24,11 @@ def check_motion(scene: Scene, state: State) -> None:
         raise ValueError(
             f"state: is one of {shape[0]} nodes, but the scene's rod has {nodes}; make it by"
             " start(scene), or carry it over to this rod by regrid(state, rod)"
+        )
+    if known(state.position) and not np.all(np.isfinite(np.asarray(state.position))):
+        raise ValueError(
+            "state: holds no numbers, as a run or equilibrium that failed leaves it; look at the"
+            " `result` that came with it"
         )
 
 

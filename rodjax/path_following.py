@@ -10,7 +10,7 @@ halved; where that does not help, the rod descends from where the path had come 
 below), as it would, and the path goes on from there.
 
 The descent is that of a rod in honey: steps of the implicit Euler method for motion resisted by
-sigma times the weights of `statics.moving_weight`, each of which minimises the energy plus
+sigma times the weights of `statics.resisting_weight`, each of which minimises the energy plus
 sigma/2 |motion|^2. The resistance sigma is kept within 1.5 to 3 times what makes that convex
 (`unstable_modes` tells), and falls to zero where the energy itself is.
 
@@ -32,7 +32,14 @@ from rodjax.results import Result
 from rodjax.rigid_motions import Hold
 from rodjax.scene import Scene
 from rodjax.state import State
-from rodjax.statics import Ramp, StaticEquations, at_rest, moving_weight, static_balance
+from rodjax.statics import (
+    Ramp,
+    StaticEquations,
+    at_rest,
+    moving_weight,
+    resisting_weight,
+    static_balance,
+)
 from rodjax.strains import relative_rotation, wound
 from rodjax.unstable_modes import count_below, neutral
 
@@ -109,7 +116,7 @@ def follow(
     first = 1 / load_steps
     smallest, near = first * 0.5 ** (_HALVINGS + 0.5), first * 0.5 ** (_NEAR + 0.5)
     when = lambda reached: state.time + reached * (stop - state.time)
-    weight = moving_weight(scene)
+    weight, norm = resisting_weight(scene), moving_weight(scene)
     elastic = jnp.mean(scene.rod.stiffness[:, :2]) / jnp.sum(scene.rod.length) ** 2
     spinning = spin_resistance(scene)
 
@@ -164,8 +171,9 @@ def follow(
         )
         converged = result == Result.SUCCESS
         least = neutral(scene, trial.force(x))
-        levels = jnp.stack([least, sigma + least, sigma / 3 + least])
-        unstable, convex, easily = count_below(trial, x, levels)
+        level = least * norm
+        resisted = jnp.stack([level, sigma * weight + level, sigma / 3 * weight + level])
+        unstable, convex, easily = count_below(trial, x, resisted)
         on_branch = (unstable <= path.unstable) | (leave == ACCEPT)
         moved = trial.size(x.at[:, 3:6].set(0.0))
 

@@ -180,6 +180,15 @@ def moving_weight(scene: Scene) -> Float[Array, "nodes 6"]:
     return jnp.concatenate([spin / jnp.sum(rod.length) ** 2, spin], 1)
 
 
+def resisting_weight(scene: Scene) -> Float[Array, "nodes 6"]:
+    """What resists the motions of a descent: `moving_weight`, but hardly the spin about the tangent.
+
+    Twist hardly ever is what makes a rod unstable. Resisted in full it would come to rest, beyond
+    the critical turns, in some thousand steps only.
+    """
+    return moving_weight(scene).at[:, 5].multiply(1e-2)
+
+
 def at_rest(time, position, quaternion) -> NodeMotion:
     """Nodes without velocity."""
     zero = jnp.zeros_like(position)

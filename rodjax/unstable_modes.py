@@ -25,7 +25,7 @@ from rodjax import balance, rotations
 from rodjax.block_tridiagonal import BlockTridiagonal
 from rodjax.coupled import CoupledSystem, couple, find_nearby
 from rodjax.scene import Scene, projectors
-from rodjax.statics import StaticEquations, load_tangent, moving_weight
+from rodjax.statics import StaticEquations, load_tangent
 
 # Rows of a block in the order of its columns: (force, constraint, moment).
 _ORDER = np.array([3, 4, 5, 0, 1, 2, 6, 7, 8])
@@ -57,17 +57,18 @@ def neutral(scene: Scene, force: Float[Array, "n 3"]) -> Float[Array, ""]:
 
 
 def count_below(
-    equations: StaticEquations, x: Float[Array, "nodes 9"], levels: Float[Array, " k"]
+    equations: StaticEquations, x: Float[Array, "nodes 9"], added: Float[Array, "k nodes 6"]
 ) -> Int[Array, " k"]:
-    """Number of modes of the second variation at x with eigenvalues below each of minus `levels`.
+    """Number of unstable modes of the second variation at x, with stiffnesses added to its nodes.
 
-    `levels` [N] in the norm of `neutral`.
+    `added` to the displacements and body spins [N/m, N m]: a level times `statics.moving_weight`
+    counts the eigenvalues below minus that level.
     """
     tangent = _tangent(equations, x)
     even = _asymmetry(equations, tangent.blocks) < 10 * jnp.sqrt(jnp.finfo(x.dtype).eps)
 
     def by_elimination(_):
-        return jax.vmap(lambda level: _eliminated(equations, tangent, level, even))(levels)
+        return jax.vmap(lambda one: _eliminated(equations, tangent, one, even))(added)
 
     contact = equations.scene.contact
     if contact is None:
@@ -75,10 +76,10 @@ def count_below(
     motion = equations.motion(x)
     nearby = find_nearby(equations.scene, motion.position)
     never = jnp.zeros((2, 6, 6), x.dtype)
-    coupling = couple(contact, nearby, motion, jnp.zeros_like(levels[0]), never, equations.scales)
+    coupling = couple(contact, nearby, motion, jnp.zeros((), x.dtype), never, equations.scales)
 
     def by_eigenvalues(_):
-        return _reduced(equations, tangent, coupling[1], levels, even)
+        return _reduced(equations, tangent, coupling[1], added, even)
 
     return lax.cond(nearby.near.level > 0, by_eigenvalues, by_elimination, None)
 
@@ -137,10 +138,10 @@ def _negative(matrix: Float[Array, "*b k k"]) -> Int[Array, " *b"]:
     return jnp.sum((jnp.linalg.eigvalsh(scaled) < 0).astype(jnp.int32), -1)
 
 
-def _eliminated(equations: StaticEquations, tangent: _Tangent, level, even) -> Int[Array, ""]:
+def _eliminated(equations: StaticEquations, tangent: _Tangent, added, even) -> Int[Array, ""]:
     """`count_below` by block elimination."""
     scene = equations.scene
-    node = tangent.node + level * jax.vmap(jnp.diag)(moving_weight(scene))
+    node = tangent.node + jax.vmap(jnp.diag)(added)
     blocks = _ordered(equations, tangent.elements, node)
     blocks = jax.tree.map(lambda a, b: jnp.where(even, a, b), _symmetric(blocks), blocks)
     rest = jax.tree.map(lambda rows: rows[1:], blocks)
@@ -171,12 +172,12 @@ def _eliminated(equations: StaticEquations, tangent: _Tangent, level, even) -> I
 
 
 def _reduced(
-    equations: StaticEquations, tangent: _Tangent, coupling, levels, even: Bool[Array, ""]
+    equations: StaticEquations, tangent: _Tangent, coupling, added, even: Bool[Array, ""]
 ) -> Int[Array, " k"]:
     """`count_below` by the eigenvalues on admissible motions (see `linear_stability`)."""
     scene, scales = equations.scene, equations.scales
     rod = scene.rod
-    n, dtype = rod.elements, levels.dtype
+    n, dtype = rod.elements, added.dtype
     never = jnp.zeros((2, 6, 6), dtype)
     blocks = balance.assemble(rod, tangent.elements, tangent.node, never, scales)
     system = CoupledSystem(blocks, coupling)
@@ -204,9 +205,8 @@ def _reduced(
     pushed = jax.vmap(system.multiply)(columns)[:, :, 3:]
     flat = basis.reshape(size, -1)
     stiffness = flat @ pushed.reshape(size, -1).T
-    weight = moving_weight(scene) / (scales.force * scales.length)
     unit = jnp.repeat(jnp.stack([scales.length**2, jnp.ones_like(scales.length)]), 3)
-    weight = (flat * (weight * unit[None]).ravel()[None]) @ flat.T
+    unit = unit / (scales.force * scales.length)
     far = 2 * jnp.max(jnp.sum(jnp.abs(stiffness), 1))
     if rod.compliance is not None:
         give = rod.compliance.ravel()
@@ -219,10 +219,11 @@ def _reduced(
     rows = jnp.linalg.pinv(rows, rtol=1e-9) @ rows
     keep = jnp.eye(size, dtype=dtype) - rows
 
-    def below(level):
-        matrix = keep @ (stiffness + level * weight) @ keep + far * rows
+    def below(one):
+        stiffer = stiffness + (flat * (one * unit[None]).ravel()[None]) @ flat.T
+        matrix = keep @ stiffer @ keep + far * rows
         count = _negative(0.5 * (matrix + matrix.T))
         odd = jnp.linalg.slogdet(matrix)[0] < 0
         return jnp.where(even, count.astype(jnp.int32), odd.astype(jnp.int32))
 
-    return jax.vmap(below)(levels)
+    return jax.vmap(below)(added)

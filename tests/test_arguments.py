@@ -1,5 +1,6 @@
 """What a newcomer gives by mistake is answered with the argument's name and the mend."""
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import jaxtyping
@@ -23,6 +24,7 @@ GRAVITY = rx.Gravity((0.0, 0.0, -9.81))
 SCENE = rx.Scene(ROD, rx.Clamped(), loads=(GRAVITY,))
 STATE = rx.placing(SCENE)
 OTHER = rx.placing(rx.Scene(rx.straight_rod(1.0, 5, SECTION), rx.Clamped()))
+FAILED = eqx.tree_at(lambda state: state.position, STATE, jnp.full((9, 3), jnp.nan))
 RAMP = rx.Smooth([0.0, 1.0], [0.0, 1.0])
 SHIFT = rx.Smooth([0.0, 1.0], [(0, 0, 0), (0, 0, 0.1)])
 
@@ -160,6 +162,16 @@ SLIPS = {
     "other grid at rest": ("state: is one of 6 nodes", lambda: rx.equilibrium(SCENE, OTHER)),
     "other grid's modes": ("state: is one of 6 nodes", lambda: rx.vibration(SCENE, OTHER)),
     "other grid's stability": ("state: is one of 6 nodes", lambda: rx.stability(SCENE, OTHER)),
+    **{
+        f"failed state in {name}": ("state: holds no numbers.*failed.*result", function)
+        for name, function in {
+            "rollout": lambda: rx.rollout(SCENE, FAILED, [0.1]),
+            "adaptive_rollout": lambda: rx.adaptive_rollout(SCENE, FAILED, 0.1),
+            "equilibrium": lambda: rx.equilibrium(SCENE, FAILED, throw=False),
+            "stability": lambda: rx.stability(SCENE, FAILED),
+            "vibration": lambda: rx.vibration(SCENE, FAILED),
+        }.items()
+    },
     "states of a run": (
         "state: holds many states",
         lambda: rx.rollout(SCENE, jax.tree.map(lambda x: jnp.stack([x, x]), STATE), [0.1]),

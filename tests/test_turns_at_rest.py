@@ -13,7 +13,7 @@ from rodjax.energy import reactions
 from rodjax.load_path import equilibrium as stable_equilibrium
 from rodjax.load_path import placing
 from rodjax.loads import PointLoad
-from rodjax.results import Result
+from rodjax.results import ModelWarning, Result
 from rodjax.rod import Section, straight_rod
 from rodjax.scene import Scene
 from rodjax.schedules import Constant, PiecewiseLinear
@@ -55,6 +55,21 @@ def test_no_turn_is_lost(first, last, load_steps):
         np.testing.assert_allclose(twists[1], applied, rtol=1e-9, atol=1e-9)
     # each end by a quarter of a turn a step at most
     assert int(info.load_steps) >= 4 * max(abs(first), abs(last))
+
+
+@pytest.mark.parametrize("turns", [3, -10])
+def test_a_straight_rod_that_nothing_excites_keeps_its_axis_and_says_so(turns):
+    """Far beyond its critical turns, 1.8, by default: unstable modes are counted, not fallen for."""
+    scene = turned(0, turns)
+    with pytest.warns(ModelWarning, match="unstable mode"):
+        state, info = stable_equilibrium(scene, placing(scene), time=1.0)
+    found, *twists = torque(scene, state)
+    np.testing.assert_allclose(found, C * 2 * np.pi * turns, rtol=1e-9)
+    np.testing.assert_allclose(twists, turns, rtol=1e-9)
+    # two become unstable at each root of tan(x) = x, where x is half the torque (A = L = 1)
+    roots = np.pi * (np.arange(1, 20) + 0.5)
+    roots = roots - 1 / roots  # to 3e-3
+    assert int(info.unstable) == 2 * np.sum(roots < 0.5 * C * 2 * np.pi * abs(turns))
 
 
 def test_turns_are_taken_back():

@@ -13,7 +13,7 @@ from rodjax.loads import PointLoad
 from rodjax.rod import Section, straight_rod
 from rodjax.scene import Scene
 from rodjax.schedules import Constant
-from rodjax.statics import Ramp, StaticEquations
+from rodjax.statics import Ramp, StaticEquations, moving_weight
 from rodjax.unstable_modes import count_below, neutral
 
 ELEMENTS = 40
@@ -26,9 +26,9 @@ def counted(scene, state, levels):
     one = jnp.ones(())
     ramp = Ramp(one, Internal(zero, zero, jnp.zeros_like(state.force)))
     equations = StaticEquations(scene, state, state.position, state.quaternion, one, one, ramp)
-    return count_below(
-        equations, equations.guess(state.force), levels + neutral(scene, state.force)
-    )
+    levels = levels + neutral(scene, state.force)
+    added = levels[:, None, None] * moving_weight(scene)[None]
+    return count_below(equations, equations.guess(state.force), added)
 
 
 def pressed(first, last, thrust, compliance=None):
