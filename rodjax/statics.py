@@ -181,7 +181,7 @@ def moving_weight(scene: Scene) -> Float[Array, "nodes 6"]:
 
 
 def resisting_weight(scene: Scene) -> Float[Array, "nodes 6"]:
-    """What resists the motions of a descent: `moving_weight`, but hardly the spin about the tangent.
+    """What resists the motions of a descent: `moving_weight`, but hardly a spin about the tangent.
 
     Twist hardly ever is what makes a rod unstable. Resisted in full it would come to rest, beyond
     the critical turns, in some thousand steps only.

@@ -59,7 +59,7 @@ def test_no_turn_is_lost(first, last, load_steps):
 
 @pytest.mark.parametrize("turns", [3, -10])
 def test_a_straight_rod_that_nothing_excites_keeps_its_axis_and_says_so(turns):
-    """Far beyond its critical turns, 1.8, by default: unstable modes are counted, not fallen for."""
+    """Far beyond its critical turns, 1.8: unstable modes are counted, not fallen for."""
     scene = turned(0, turns)
     with pytest.warns(ModelWarning, match="unstable mode"):
         state, info = stable_equilibrium(scene, placing(scene), time=1.0)
