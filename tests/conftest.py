@@ -16,6 +16,7 @@ if tuple(map(int, importlib.metadata.version("jaxlib").split(".")[:2])) < (0, 12
 from pathlib import Path
 
 import jax
+import jaxtyping
 import pytest
 
 # tracing makes many objects that stay: looking through them for garbage takes a quarter of its time
@@ -38,8 +39,10 @@ PROMOTING = [
     "contact",
     "contact_derivatives",
     "contact_laws",
+    "contact_newton",
     "convergence",
     "damaged_files",
+    "descent",
     "docstrings",
     "drives",
     "equilibrium",
@@ -49,8 +52,15 @@ PROMOTING = [
     "failure",
     "fit",
     "fit_data",
+    "fit_failures",
+    "fit_priors",
+    "fit_settings",
+    "fit_starts",
     "follower_loads",
+    "free_motion",
+    "free_units",
     "fuzz_constructors",
+    "fuzz_runs",
     "hung_cables",
     "imperfection",
     "interruption",
@@ -66,9 +76,11 @@ PROMOTING = [
     "resolution",
     "retraces",
     "rod",
+    "rollouts",
     "rotations",
     "rough_start",
     "schedules_ends",
+    "screening",
     "semidiscrete",
     "stability_map",
     "starts",
@@ -82,6 +94,7 @@ PROMOTING = [
     "unstable_modes",
     "validation",
     "windows",
+    "writhe",
 ]
 
 
@@ -95,6 +108,22 @@ def _few_programs():
     maps = Path("/proc/self/maps")
     if maps.exists() and maps.read_bytes().count(b"\n") > 20_000:
         jax.clear_caches()
+
+
+@pytest.fixture
+def unchecked():
+    """Without the tests' run-time type checks, which would come before the package's own."""
+    jaxtyping.config.update("jaxtyping_disable", True)
+    yield
+    jaxtyping.config.update("jaxtyping_disable", False)
+
+
+@pytest.fixture
+def bent(request):
+    """`helpers.moving_hairpin` of 24 elements, or of as many as the test's parameter says."""
+    from helpers import moving_hairpin
+
+    return moving_hairpin(getattr(request, "param", 24))
 
 
 @pytest.fixture(autouse=True, scope="module")
