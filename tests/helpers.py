@@ -1,5 +1,8 @@
 """Small scenes and comparisons shared by the tests of the core modules."""
 
+import dataclasses
+import functools
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -8,19 +11,34 @@ from jax import lax
 
 from rodjax import contact_laws as laws
 from rodjax import rotations
+from rodjax.consistency import start
+from rodjax.contact import Contact
+from rodjax.coupled import find_nearby
 from rodjax.ends import Clamped, Slider, Turn
+from rodjax.generalized_alpha import GeneralizedAlpha
 from rodjax.load_path import placing
 from rodjax.loads import MorisonDrag
 from rodjax.rod import Rod, Section, circular_section, curved_rod, straight_rod
 from rodjax.run import Run
 from rodjax.scene import Scene
 from rodjax.schedules import Smooth
+from rodjax.state import State
 from rodjax.stepping import no_info, prepare, step
+from rodjax.strains import strains
 
 UNIT_SECTION = Section(
     stiffness=(1.0, 1.3, 0.8), mass=1.0, rotary_inertia=(2e-3, 2e-3, 4e-3), diameter=0.1, area=8e-3
 )
 """A section in units of the rod's length, bending stiffness and mass."""
+
+PRECISE = GeneralizedAlpha(0.8, tolerance=1e-12)
+UP = (0.0, 0.0, 1.0)
+ARC = lambda s: np.array([1 - np.cos(s), 0.0, np.sin(s)])
+
+
+def time(value) -> jax.Array:
+    """A time as an array, which no second value makes a jitted function be traced again for."""
+    return jnp.asarray(value, float)
 
 
 def random_arrays(seed: int, *shapes: tuple[int, ...]) -> list[jax.Array]:
@@ -41,6 +59,12 @@ def relative_difference(value, expected) -> float:
     """Largest difference of two arrays over the largest entry expected."""
     value, expected = np.asarray(value), np.asarray(expected)
     return float(np.max(np.abs(value - expected)) / np.max(np.abs(expected)))
+
+
+def stretch_error(scene: Scene, state: State) -> float:
+    """Largest distance of the strains gamma from e3, which an inextensible rod keeps."""
+    stretch = strains(scene.rod, state.position, state.quaternion).stretch
+    return float(jnp.max(jnp.abs(stretch - jnp.asarray([[0.0, 0.0, 1.0]]))))
 
 
 def order_of(steps, errors) -> float:
@@ -116,6 +140,17 @@ def hairpin(elements=24, half_gap=0.04, tilt=0.003):
 
     section = circular_section(DIAMETER, 1e6, 5e5, 1500.0)
     return curved_rod(curve, 1.0, elements, section)
+
+
+@functools.cache
+def moving_hairpin(elements: int):
+    """Hairpin scene, a moving state of it, and the points near each other."""
+    contact = Contact(LAWS["damped"], segments=20, cutoff=0.1, points_per_segment=2)
+    scene = Scene(hairpin(elements), Clamped(), Clamped(), (), contact)
+    state = start(scene)
+    velocity = 0.1 * np.random.default_rng(0).normal(size=state.position.shape)
+    state = dataclasses.replace(state, rate=state.rate.at[:, :3].set(velocity))
+    return scene, state, find_nearby(scene, state.position, 1e-3 * state.velocity)
 
 
 def standing_run(scene: Scene, steps: int, first: float = 0.0, step_size: float = 0.1) -> Run:
