@@ -1,0 +1,139 @@
+"""The Newton system coupled by contact: its derivative, its solvers, and steps by them."""
+
+import dataclasses
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from helpers import LAWS
+
+from rodjax import newton
+from rodjax.contact import Contact
+from rodjax.coupled import find_nearby
+from rodjax.results import Result
+from rodjax.step_equations import StepEquations
+from rodjax.stepping import step
+
+# grids finer and coarser than the contact's 20 segments
+finer_and_coarser = pytest.mark.parametrize("bent", [24, 14], indirect=True)
+
+
+@finer_and_coarser
+def test_newton_system_is_the_exact_derivative(bent):
+    scene, state, near = bent
+    equations = StepEquations(scene, state, jnp.asarray(1e-3), jnp.asarray(0.8), near)
+    x = equations.guess()
+    system = equations.linearize(x)
+    matrix = jax.jacfwd(equations.residual)(x).reshape(x.size, x.size)
+    b = jnp.asarray(np.random.default_rng(1).normal(size=x.shape))
+    dx = system.solve(b)
+    np.testing.assert_allclose(
+        matrix @ equations.lift(x, dx).reshape(-1), b.reshape(-1), atol=1e-11
+    )
+    np.testing.assert_allclose(system.multiply(dx), b, atol=1e-11)
+    y = system.solve_transpose(b)
+    np.testing.assert_allclose(jnp.vdot(y, system.multiply(b)), jnp.vdot(b, b), rtol=1e-11)
+    np.testing.assert_allclose(
+        equations.newton_increment(x), system.solve(-equations.residual(x)), atol=1e-13
+    )
+
+
+@finer_and_coarser
+def test_batches_of_right_sides_and_of_systems(bent):
+    """Lanes in contact and out of it, by the solver of their own."""
+    scene, state, _ = bent
+    apart = dataclasses.replace(
+        state, position=state.position.at[len(state.position) // 2 + 1 :, 0].add(0.3)
+    )
+    both = jax.tree.map(lambda *leaves: jnp.stack(leaves), state, apart)
+    right = jnp.asarray(np.random.default_rng(1).normal(size=(2, state.position.shape[0], 9)))
+
+    @jax.jit
+    def equations(state):
+        nearby = find_nearby(scene, state.position)
+        return StepEquations(scene, state, jnp.asarray(1e-3), jnp.asarray(0.5), nearby)
+
+    system = lambda state: equations(state).linearize(equations(state).guess())
+
+    def root(state):
+        tried = equations(state)
+        return tried.iterate(tried.guess(), jnp.asarray(1e-11), jnp.asarray(2))
+
+    def close(found, expected):
+        # the rod apart is torn in two: its nodes move by many elements to be one again
+        largest = max(1.0, float(jnp.max(jnp.abs(expected))))
+        np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-12 * largest)
+
+    one = system(state)
+    assert int(one.coupling.near.level) > 0 and int(system(apart).coupling.near.level) == 0
+    alone = [one.solve(b) for b in right]
+    close(jax.vmap(one.solve)(right), jnp.stack(alone))
+    # several right sides of several systems
+    grid = jax.jit(jax.vmap(lambda s: jax.vmap(system(s).solve)(right)))(both)
+    close(grid[0], jnp.stack(alone))
+    close(grid[1], jnp.stack([system(apart).solve(b) for b in right]))
+    # two of Newton's iterations, of each lane for itself or, if none is in contact, together
+    expected = [jax.jit(root)(s) for s in (state, apart)]
+    found, infos = jax.jit(jax.vmap(root))(both)
+    for lane, (x, info) in enumerate(expected):
+        close(found[lane], x)
+        assert int(infos.iterations[lane]) == int(info.iterations)
+    easy = jax.tree.map(lambda leaf: jnp.stack([leaf, leaf]), apart)
+    close(jax.jit(jax.vmap(root))(easy)[0], jnp.stack([expected[1][0]] * 2))
+
+
+@finer_and_coarser
+def test_a_held_derivative_leads_to_the_same_motion(bent):
+    scene, state, _ = bent
+    nearby = find_nearby(scene, state.position)
+    equations = StepEquations(scene, state, jnp.asarray(1e-3), jnp.asarray(0.5), nearby)
+    assert int(nearby.near.count) > 0
+    rest = (equations.guess(), jnp.asarray(1e-11), jnp.asarray(20))
+    whole, each = jax.jit(lambda: newton.iterate(equations, *rest))()
+    held, once = jax.jit(lambda: newton.iterate_held(equations, *rest))()
+    assert int(each.result) == int(once.result) == 0
+    np.testing.assert_allclose(held, whole, rtol=1e-8, atol=1e-10)
+    assert int(each.iterations) <= int(once.iterations) <= 2 * int(each.iterations)
+
+
+@finer_and_coarser
+def test_every_size_of_solver_gives_the_same_increment(bent):
+    scene, state, near = bent
+    found = []
+    apart = dataclasses.replace(scene.contact, exclusion=jnp.asarray(0.45))
+    for sizes in ((21,), (4, 18, 21)):
+        contact = dataclasses.replace(apart, capacities=sizes)
+        same = eqx.tree_at(lambda s: s.contact, scene, contact)
+        near = find_nearby(same, state.position, 1e-3 * state.velocity)
+        assert int(near.near.level) == len(sizes) - (len(sizes) > 1)
+        equations = StepEquations(same, state, jnp.asarray(1e-3), jnp.asarray(0.8), near)
+        found.append(equations.newton_increment(equations.guess()))
+    np.testing.assert_allclose(found[1], found[0], atol=1e-12)
+
+
+def test_capacity_overflow_is_reported(bent):
+    scene, state, _ = bent
+    small = eqx.tree_at(
+        lambda s: s.contact, scene, Contact(LAWS["damped"], 20, 0.1, capacities=(4,))
+    )
+    _, info = step(small, state, jnp.asarray(1e-3))
+    assert int(info.result) == Result.CAPACITY_OVERFLOW
+
+
+def test_gradient_through_a_step_in_contact(bent):
+    scene, state, _ = bent
+
+    def end(k1):
+        law = eqx.tree_at(lambda c: c.law.k1, scene.contact, k1)
+        touching = eqx.tree_at(lambda s: s.contact, scene, law)
+        return jnp.sum(step(touching, state, jnp.asarray(1e-3))[0].velocity[:8, 0])
+
+    k1 = jnp.asarray(1e-4)
+    reverse, forward = jax.grad(end)(k1), jax.jvp(end, (k1,), (jnp.ones(()),))[1]
+    h = 1e-6
+    difference = (end(k1 + h) - end(k1 - h)) / (2 * h)
+    assert abs(difference) > 0
+    np.testing.assert_allclose(reverse, forward, rtol=1e-9)
+    np.testing.assert_allclose(reverse, difference, rtol=1e-5)
