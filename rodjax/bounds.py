@@ -57,7 +57,18 @@ class AbstractBound(eqx.Module):
         """The unknown of the parameter so named, as a formula."""
 
 
-class Unbounded(AbstractBound):
+class _AbstractAnyNumber(AbstractBound):
+    """No limit but that the parameter is finite."""
+
+    def inside(self, value):
+        return jnp.isfinite(value)
+
+    @property
+    def range(self):
+        return "finite"
+
+
+class Unbounded(_AbstractAnyNumber):
     """Any number: u = x / scale. The scale says what a large change is."""
 
     scale: Float[Array, ""] = eqx.field(converter=as_float, default=1.0)
@@ -72,18 +83,11 @@ class Unbounded(AbstractBound):
     def to_bounded(self, unknown):
         return self.scale * unknown
 
-    def inside(self, value):
-        return jnp.isfinite(value)
-
-    @property
-    def range(self):
-        return "finite"
-
     def label(self, name):
         return name if self.scale == 1 else f"{name}/{float(self.scale):.3g}"
 
 
-class Fixed(AbstractBound):
+class Fixed(_AbstractAnyNumber):
     """The guess's value: it is no unknown of the fit."""
 
     @property
@@ -95,13 +99,6 @@ class Fixed(AbstractBound):
 
     def to_bounded(self, unknown):
         return unknown
-
-    def inside(self, value):
-        return jnp.isfinite(value)
-
-    @property
-    def range(self):
-        return "finite"
 
     def label(self, name):
         return name
