@@ -120,9 +120,12 @@ class Observations(eqx.Module):
                 f"predict: expected shape {self.values.shape}, that of the observed values, got"
                 f" {prediction.shape}"
             )
-        deviation = 1.0 if self.deviation is None else self.deviation
-        residuals = (prediction - self.values) / deviation
-        return jnp.where(self.here, residuals, 0.0).ravel()
+        here = self.here
+        # replaced before they are divided: what is no number would be one in no derivative either
+        difference = jnp.where(here, prediction, 0.0) - jnp.where(here, self.values, 0.0)
+        if self.deviation is not None:
+            difference = difference / jnp.where(here, self.deviation, 1.0)
+        return difference.ravel()
 
     def first_time(self, marked: np.ndarray) -> float:
         """Time of the first of the (ravelled) values that are marked."""

@@ -126,6 +126,20 @@ def test_residuals():
         plain.residuals(jnp.ones(3))
 
 
+def test_missing_samples_leave_derivatives_finite():
+    """Whatever stands in their place: no value, no deviation, no prediction."""
+    observed = Observations([0.0, 1.0, 2.0], [1.0, np.nan, 2.0], [0.1, 0.0, 0.2])
+    predicted = jnp.asarray([1.5, jnp.nan, 2.5])
+    loss = lambda prediction, seen: jnp.sum(seen.residuals(prediction) ** 2)
+    slope, of_data = jax.grad(loss, (0, 1), allow_int=True)(predicted, observed)
+    np.testing.assert_allclose(slope, [100.0, 0.0, 25.0], rtol=1e-14)  # 2 (p - v) / deviation^2
+    np.testing.assert_allclose(of_data.values, -slope, rtol=1e-14)
+    # -2 (p - v)^2 / deviation^3
+    np.testing.assert_allclose(of_data.deviation, [-500.0, 0.0, -62.5], rtol=1e-14)
+    forward = jax.jvp(lambda x: loss(x, observed), (predicted,), (jnp.ones(3),))
+    np.testing.assert_allclose(forward, [25.0 + 6.25, 125.0], rtol=1e-14)
+
+
 @pytest.mark.parametrize(
     ("times", "values", "deviation", "message"),
     [
