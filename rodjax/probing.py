@@ -5,6 +5,8 @@ a load that looked at other nodes, or an end that turned in between, would run o
 derivatives or a wrong motion.
 """
 
+import hashlib
+
 import equinox as eqx
 import jax
 import jax.core
@@ -19,10 +21,15 @@ from rodjax.rod import Rod
 
 _ERRORS = (ArithmeticError, LookupError, TypeError, ValueError, *STEP_FAILED)
 
-# Kinds of loads that have passed, the latest last. A kind is the structure of the pytree, with its
-# functions; of its numbers the probe does without.
+# Kinds of loads that have passed, the one used last at the end; few, for they keep alive what a
+# user's functions have around them.
 _PASSED: dict = {}
-_KEPT = 512
+_KEPT = 32
+
+_OF_ZEROS = (
+    ". (With the zeros among its parameters as they are it does not; but real numbers may change"
+    " later, unchecked. Give a diagonal as a vector, or multiply by truth values, which stay)"
+)
 
 
 def check_local(load: AbstractLoad, rod: Rod, name: str) -> None:
@@ -33,16 +40,18 @@ def check_local(load: AbstractLoad, rod: Rod, name: str) -> None:
     the wrench is run with stand-ins for what is traced, and for zeros, that may hide something.
     Rows that are not finite tell nothing, nor does a function that cannot be traced.
     """
-    kind = jax.tree.structure(load)
     function = getattr(load, "function", None)
-    known_local = type(load).__module__ == AbstractLoad.__module__ and function is None
-    if known_local or kind in _PASSED:
+    if type(load).__module__ == AbstractLoad.__module__ and function is None:
+        return
+    kind = _kind(load)
+    if kind in _PASSED:
+        _PASSED[kind] = _PASSED.pop(kind)
         return
     of = "" if function is None else f" of {getattr(function, '__qualname__', function)}"
     title, nodes = f"{name} ({type(load).__name__}{of})", rod.elements + 1
     generator = np.random.default_rng(0)
     try:
-        rows = _program(load, rod, generator, title)
+        rows, lasting = _program(load, rod, generator, title)
         for scale in (1.0, 1e-3):  # far from each other, and close
             one, other = (_motion(rod, scale, generator) for _ in range(2))
             before = rows(one)
@@ -54,27 +63,69 @@ def check_local(load: AbstractLoad, rod: Rod, name: str) -> None:
                     moved = [_differ(before, rows(motion))[node] for motion in alone]
                     moved[node] = False
                     which = f"node {np.argmax(moved)}" if any(moved) else "other nodes"
+                    given, _ = _program(load, rod, generator, title, zeros_stay=True)
+                    moving = _differ(given(one), given(_mixed(kept, one, other)))
                     raise _Refused(
                         f"{title}: the wrench on node {node}, or the mass added to it, changes with"
                         f" the motion of {which}, for which the equations of a step have no place;"
                         " use the node's own row of `motion` only (no mean, sum, difference or"
                         " shift along the nodes). Forces between strands belong in `contact`"
+                        + ("" if np.any(kept & moving) else _OF_ZEROS)
                     )
     except _Refused as refusal:  # the caller's traceback names no private class
         raise ValueError(*refusal.args) from refusal.__cause__
     except _ERRORS:
         return
-    _PASSED[kind] = None
-    if len(_PASSED) > _KEPT:
-        del _PASSED[next(iter(_PASSED))]
+    if kind is not None and lasting:
+        _PASSED[kind] = None
+        while len(_PASSED) > _KEPT:
+            del _PASSED[next(iter(_PASSED))]
+
+
+def _kind(load: AbstractLoad):
+    """What the outcome of the probe hangs on, to be remembered by; None where that cannot be.
+
+    That is the structure of the pytree with its static functions, the functions and Python's values
+    among its leaves, and the values of whole numbers and truth values, which may be indices and
+    masks. Of real numbers the probe does without, and knows their shapes only.
+    """
+    leaves, structure = jax.tree.flatten(load)
+    try:
+        kind = (structure, *map(_of_leaf, leaves))
+        hash(kind)
+        _hash_static(structure)
+    except TypeError:  # something that may change, or cannot be told from others
+        return None
+    return kind
+
+
+def _hash_static(structure) -> None:
+    """Raise TypeError where a static field has no hash, which the hash of a structure passes by."""
+    data = structure.node_data()
+    if data is not None and not isinstance(data[1], list):  # the names of a dictionary
+        hash(data[1])
+    for child in structure.children():
+        _hash_static(child)
+
+
+def _of_leaf(leaf):
+    if not eqx.is_array_like(leaf) or isinstance(leaf, bool | int | float | complex):
+        return type(leaf), leaf
+    shape, dtype = np.shape(leaf), leaf.dtype
+    if isinstance(leaf, jax.core.Tracer) or jnp.issubdtype(dtype, jnp.inexact):
+        return shape, str(dtype)
+    return shape, str(dtype), hashlib.sha256(np.asarray(leaf).tobytes()).digest()
 
 
 class _Refused(ValueError):
     pass
 
 
-def _program(load, rod, generator, title):
-    """What is looked at, in one row a node, as a function of the motion's numbers."""
+def _program(load, rod, generator, title, zeros_stay=False):
+    """What is looked at, in one row a node, as a function of the motion's numbers.
+
+    Besides, whether it holds nothing that is traced: what does is met but once.
+    """
     nodes = rod.elements + 1
 
     def rows(arrays, motion):
@@ -99,7 +150,8 @@ def _program(load, rod, generator, title):
             f"{title}: it fails when it is traced, by {type(error).__name__}: {error}. It must use"
             f" jax.numpy on the arrays of `motion`, and give {(nodes, 6)}"
         ) from error
-    stand_in = lambda value: _stand_in(value, generator)
+    stand_in = lambda value: _stand_in(value, generator, zeros_stay)
+    lasting = not any(isinstance(x, jax.core.Tracer) for x in closed.consts)
     with jax.ensure_compile_time_eval():
         given = [stand_in(leaf) for leaf in jax.tree.leaves(arrays)]
         # what a function takes from around it may be traced too
@@ -110,17 +162,17 @@ def _program(load, rod, generator, title):
         with jax.ensure_compile_time_eval():
             return np.asarray(program(*given, *motion)[0])
 
-    return run
+    return run, lasting
 
 
-def _stand_in(value, generator):
+def _stand_in(value, generator, zeros_stay):
     """A known value with other numbers for zeros; for a traced one positive numbers near one."""
     shape, dtype = np.shape(value), value.dtype
     if not jnp.issubdtype(dtype, jnp.floating):
         return jnp.zeros(shape, dtype) if isinstance(value, jax.core.Tracer) else value
     drawn = generator.uniform(0.5, 1.5, shape)
     if not isinstance(value, jax.core.Tracer):
-        drawn = np.where(np.asarray(value) == 0, drawn, value)
+        drawn = value if zeros_stay else np.where(np.asarray(value) == 0, drawn, value)
     return jnp.asarray(drawn, dtype)
 
 

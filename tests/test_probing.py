@@ -1,6 +1,8 @@
 """Users' loads and ends that do what the equations have no place for are refused."""
 
+import gc
 import time
+import weakref
 
 import equinox as eqx
 import jax
@@ -9,7 +11,7 @@ import numpy as np
 import pytest
 from helpers import UNIT_SECTION
 
-from rodjax import rotations
+from rodjax import probing, rotations
 from rodjax.ends import AbstractEnd, Clamped
 from rodjax.loads import AbstractLoad, DistributedLoad, Gravity
 from rodjax.rod import straight_rod
@@ -162,6 +164,75 @@ def test_a_kind_is_probed_once():
     with_load(load, 2.0)
     with_load(load, 2.0, straight_rod(1.0, 9, UNIT_SECTION))
     assert len(calls) == 1
+
+
+def own(motion):
+    return -motion.position
+
+
+def neighbours(motion):
+    return -jnp.roll(motion.position, 1, 0)
+
+
+def test_what_functions_and_indices_are_given_belongs_to_the_kind():
+    by_function = lambda p, s, m: spread(p(m))
+    with_load(by_function, own)
+    by_index = lambda p, s, m: spread(-p["of"] * m.position[p["at"]])
+    by_mask = lambda p, s, m: spread(jnp.where(p, jnp.sum(m.position, 0), 0.0) + 0 * m.velocity)
+    with_load(by_index, {"of": 1.0, "at": jnp.arange(7)})
+    with_load(by_mask, jnp.zeros((7, 1), bool))
+    for function, parameters in (
+        (by_function, neighbours),
+        (by_index, {"of": 1.0, "at": np.roll(np.arange(7), 1)}),
+        (by_mask, jnp.ones((7, 1), bool)),
+    ):
+        with pytest.raises(ValueError, match="the wrench on node"):
+            with_load(function, parameters)
+
+
+class Listed(AbstractLoad):
+    """A load with a static field that cannot be hashed."""
+
+    shift: list = eqx.field(static=True)
+
+    def wrench(self, rod, motion):
+        return spread(-jnp.roll(motion.position, self.shift[0], 0))
+
+
+def test_a_kind_without_hash_is_probed_each_time():
+    shift = [0]
+    Scene(ROD, loads=(Listed(shift),))
+    shift[0] = 1
+    with pytest.raises(ValueError, match="the wrench on node"):
+        Scene(ROD, loads=(Listed(shift),))
+
+
+def test_few_functions_are_kept_alive(monkeypatch):
+    monkeypatch.setattr(probing, "_KEPT", 2)
+
+    class Around:
+        """Something large that a load has around it."""
+
+    kept = []
+    for _ in range(5):
+        around = Around()
+        kept.append(weakref.ref(around))
+        with_load(lambda p, s, m, around=around: spread(0 * m.position))
+        del around
+    jax.clear_caches()
+    gc.collect()
+    assert sum(one() is not None for one in kept) == 2
+
+
+def test_a_diagonal_matrix_is_refused_for_its_zeros():
+    """They may be changed later, by a fit, without another check."""
+    function = lambda p, s, m: spread(-p @ m.position)
+    with pytest.raises(ValueError, match="Give a diagonal as a vector"):
+        with_load(function, 3.0 * jnp.eye(7))
+    with pytest.raises(ValueError, match="belong in `contact`$"):
+        with_load(function, jnp.ones((7, 7)))
+    masked = lambda p, s, m: spread(-(p["k"] * p["here"]) @ m.position)
+    with_load(masked, {"k": 3.0 * jnp.eye(7), "here": jnp.eye(7, dtype=bool)})
 
 
 @pytest.mark.parametrize(
