@@ -277,7 +277,8 @@ def restart(
     if scene.loads:
         wrench = wrench + total_wrench(scene.loads, rod, motion)
     if scene.contact is not None:
-        pushed = contact_forces.report(scene.contact, rod, motion.position, motion.velocity).force
+        at = motion.position, motion.velocity
+        pushed = contact_forces.report(scene.contact, rod, *at, scene.closed).force
         wrench = wrench.at[:, :3].add(pushed)
     velocities, accelerations = zip(*system.prescribed(ends.rates), strict=True)
 

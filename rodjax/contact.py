@@ -13,7 +13,8 @@ import jax
 import jax.core
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jax import lax
+from jaxtyping import Array, Bool, Float, Int
 
 from rodjax.argument_types import Number
 from rodjax.contact_checks import check_law
@@ -54,8 +55,9 @@ class Contact(eqx.Module):
             smallest that fits is used at each step, and a run that outgrows the largest says so.
             Default: 64, 128 and on by doubling up to all joints. Under `vmap` give one.
         pairs_per_segment: capacity of the list of near pairs, per joint of `capacities`. Default:
-            what two strands side by side need, by the rod of the scene.
-        listed, closed: set by the scene, see `fitted`.
+            what two strands side by side need, by the rod of the scene; 4 where its length or the
+            cut-off is not known, as in traced code.
+        listed: set by the scene, see `fitted`.
     """
 
     law: AbstractLaw
@@ -68,7 +70,6 @@ class Contact(eqx.Module):
     capacities: tuple[int, ...] | None = eqx.field(static=True, default=None)
     pairs_per_segment: int | None = eqx.field(static=True, default=None)
     listed: int | None = eqx.field(static=True, default=None, repr=False)
-    closed: bool = eqx.field(static=True, default=False, repr=False)
 
     def __check_init__(self):
         check_instance(AbstractLaw, "give a law such as Penalty(stiffness)", law=self.law)
@@ -187,17 +188,16 @@ class Contact(eqx.Module):
                 " smaller cut-off"
             )
 
-    def fitted(self, rod: Rod, closed: bool = False) -> "Contact":
-        """The contact with what follows from its rod, where that is known: `Scene` sees to it.
+    def fitted(self, rod: Rod) -> "Contact":
+        """The contact with room for the near pairs of its rod (`listed`), where that is known.
 
-        `listed` is the room for near pairs where none is given. A `closed` rod's ends are one
-        place: along it the shorter way counts, so that parts beside the junction do not interact.
+        `Scene` sees to it. Less room than is needed shows as `CAPACITY_OVERFLOW`.
         """
         known_parts = known(rod.length) and all(
             x is None or known(x) for x in (self.cutoff, self.aperture)
         )
         listed = max(4, self._partners(rod)) if known_parts else self.listed
-        return dataclasses.replace(self, listed=listed, closed=closed)
+        return dataclasses.replace(self, listed=listed)
 
     def _partners(self, rod: Rod) -> int:
         """Partners of a joint on one strand beside it, at the worst distance, each pair once."""
@@ -271,11 +271,13 @@ class Sites(NamedTuple):
     spacing: Float[Array, ""]  # of the points
     diameter: Float[Array, "g p"]
     mass: Float[Array, "g p"] | None
+    around: Float[Array, ""] | None = None  # length of a closed rod, infinite if it is open
 
 
-def sites(contact: Contact, rod: Rod) -> Sites:
+def sites(contact: Contact, rod: Rod, closed: bool | Bool[Array, ""] = False) -> Sites:
     """Joints at equal arcs, points at the middles of equal parts of every segment.
 
+    Of a `closed` rod, whose ends are at one place, the shorter way counts (`Scene.closed`).
     Joints lie on the cubic through the four nodes nearest to them: on the elements' chords they
     would be off by kappa l^2/8, which in a tight loop is as much as a strand gives way.
     """
@@ -298,16 +300,16 @@ def sites(contact: Contact, rod: Rod) -> Sites:
     mass = None if rod.mass is None else rod.mass[at]
     assert rod.diameter is not None
     weight = _lagrange(nodes[chosen], joints[:, None])
-    return Sites(chosen, weight, s, spacing, rod.diameter[at], mass)
+    around = None
+    if closed is not False:
+        around = lax.stop_gradient(jnp.where(closed, total, jnp.inf))
+    return Sites(chosen, weight, s, spacing, rod.diameter[at], mass, around)
 
 
-def along(contact: Contact, where: Sites, a, b):
+def along(where: Sites, a, b):
     """Distance along the rod between places on it [m]."""
     direct = jnp.abs(b - a)
-    if not contact.closed:
-        return direct
-    whole = where.spacing * (contact.segments * contact.points_per_segment)
-    return jnp.minimum(direct, whole - direct)
+    return direct if where.around is None else jnp.minimum(direct, where.around - direct)
 
 
 def _lagrange(nodes: Float[Array, "j k"], s: Float[Array, "j 1"]) -> Float[Array, "j k"]:

@@ -56,14 +56,19 @@ def pair_energy(contact: Contact, distance, pair: PairProperties):
     return potential * smooth_step(last) - last * jnp.sum(fading, -1)
 
 
-def contact_energy(contact: Contact, rod: Rod, position: Float[Array, "nodes 3"]):
+def contact_energy(
+    contact: Contact,
+    rod: Rod,
+    position: Float[Array, "nodes 3"],
+    closed: bool | Bool[Array, ""] = False,
+) -> Float[Array, ""]:
     """Energy of the contact of a configuration [J], zero where nothing is within the cut-off.
 
     Its negative derivative by the nodes is the contact force on them at rest. Not a number where
-    an aperture leaves the force without potential.
+    an aperture leaves the force without potential. `closed` is that of the scene.
     """
-    contact = contact.fitted(rod, contact.closed)
-    where = sites(contact, rod)
+    contact = contact.fitted(rod)
+    where = sites(contact, rod, closed)
     near = search(contact, where, position)
     joints = interpolate(where, position)
     count = contact.points_per_segment
@@ -81,7 +86,7 @@ def contact_energy(contact: Contact, rod: Rod, position: Float[Array, "nodes 3"]
         r = points(second)[:, None, :] - points(first)[:, :, None]
         squared = jnp.sum(r**2, -1)
         s, mean = where.arc_length, lambda v: 0.5 * (at_a(v) + at_b(v))
-        acts = along(contact, where, at_a(s), at_b(s)) >= contact.excluded
+        acts = along(where, at_a(s), at_b(s)) >= contact.excluded
         acts = acts & (at < near.count)[:, None, None] & (squared > 0)
         acts = acts & (squared < contact.cutoff**2)
         distance = jnp.sqrt(jnp.where(acts, squared, contact.cutoff**2))

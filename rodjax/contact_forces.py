@@ -185,7 +185,7 @@ def _blocks(contact, where, near, joints, velocities, by_velocity):
         pair = PairProperties(
             mean(where.diameter), None if where.mass is None else mean(where.mass)
         )
-        acts = along(contact, where, at_a(s, index), at_b(s, index)) >= contact.excluded
+        acts = along(where, at_a(s, index), at_b(s, index)) >= contact.excluded
         between = lambda v: jnp.einsum("abi,qik->kqab", mix, v[index])
         r, w = between(joints), between(velocities)
         squared = jnp.sum(r**2, 0)
@@ -315,9 +315,14 @@ def report(
     rod: Rod,
     position: Float[Array, "nodes 3"],
     velocity: Float[Array, "nodes 3"],
+    closed: bool | Bool[Array, ""] = False,
 ) -> ContactReport:
-    """Contact forces and the smallest gap of a configuration, by a search of its own."""
-    contact = contact.fitted(rod, contact.closed)
-    where = sites(contact, rod)
+    """Contact forces and the smallest gap of a configuration, by a search of its own.
+
+    Args:
+        closed: whether the rod's ends are at one place, see `Scene.closed`.
+    """
+    contact = contact.fitted(rod)
+    where = sites(contact, rod, closed)
     near = search(contact, where, position)
     return _report(contact, rod, where, near, position, velocity)

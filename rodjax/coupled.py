@@ -35,7 +35,7 @@ class Nearby(NamedTuple):
 def find_nearby(scene: Scene, position: Float[Array, "nodes 3"], displacement=None) -> Nearby:
     """Search for contact, before a motion of the expected displacement if one is given."""
     assert scene.contact is not None
-    where = sites(scene.contact, scene.rod)
+    where = sites(scene.contact, scene.rod, scene.closed)
     return Nearby(where, search(scene.contact, where, position, displacement))
 
 

@@ -13,7 +13,7 @@ import jax
 import jax.core
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from rodjax import rotations
 from rodjax.schedules import AbstractSchedule, check_schedule
@@ -98,6 +98,18 @@ class AbstractEnd(eqx.Module):
     def switch_times(self) -> tuple:
         """Times at which the projector changes."""
         return ()
+
+    @property
+    def fixed(self) -> bool | Bool[Array, ""]:
+        """Whether it holds its node at one place for good; True or False where its kind says it."""
+        if self.displacement is not None:
+            return False
+        # what an end's kind makes of no numbers is known in traced code too
+        with jax.ensure_compile_time_eval():
+            times = [jnp.zeros(()), *self.switch_times]
+            held = jnp.stack([self.projector(t)[:3, :3] for t in times])
+            fixed = jnp.all(held == jnp.eye(3, dtype=held.dtype)[None])
+        return bool(fixed) if known(fixed) else fixed
 
 
 def _translation(directions):
@@ -203,6 +215,10 @@ class Slider(AbstractEnd):
 
     def projector(self, time):
         return jnp.eye(6) - _translation(jnp.outer(self.axis, self.axis))
+
+    @property
+    def fixed(self):
+        return False
 
 
 class Switched(AbstractEnd):

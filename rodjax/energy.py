@@ -96,7 +96,7 @@ def contact_energy(scene: Scene, state: State) -> Float[Array, ""]:
     """
     if scene.contact is None:
         return jnp.zeros((), state.position.dtype)
-    return energy_of_contact(scene.contact, scene.rod, state.position)
+    return energy_of_contact(scene.contact, scene.rod, state.position, scene.closed)
 
 
 def contact_wrench(scene: Scene, state: State) -> Float[Array, "nodes 6"]:
@@ -108,7 +108,8 @@ def contact_wrench(scene: Scene, state: State) -> Float[Array, "nodes 6"]:
     """
     if scene.contact is None:
         return jnp.zeros_like(state.rate)
-    forces = contact_forces.report(scene.contact, scene.rod, state.position, state.velocity).force
+    at = state.position, state.velocity
+    forces = contact_forces.report(scene.contact, scene.rod, *at, scene.closed).force
     return jnp.concatenate([forces, jnp.zeros_like(forces)], 1)
 
 
@@ -252,7 +253,9 @@ def _contact_damping(scene: Scene, state: State, touching: Float[Array, "nodes 6
     """What contact exerts beyond its forces at rest; all of it where these have no potential."""
     assert scene.contact is not None
     still = jnp.zeros_like(state.velocity)
-    force = contact_forces.report(scene.contact, scene.rod, state.position, still).force
+    force = contact_forces.report(
+        scene.contact, scene.rod, state.position, still, scene.closed
+    ).force
     resting = jnp.concatenate([force, jnp.zeros_like(force)], 1)
     return touching - jnp.where(has_potential(scene.contact), resting, 0.0)
 

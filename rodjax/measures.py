@@ -146,7 +146,7 @@ def contacts(scene: Scene, run: Run) -> ContactReport:
         raise ValueError("scene: it has no contact to report")
 
     def one(s):
-        found = contact_forces.report(contact, scene.rod, s.position, s.velocity)
+        found = contact_forces.report(contact, scene.rod, s.position, s.velocity, scene.closed)
         # what is not a number is near nothing, but not for that free of forces
         unknown = 0 * jnp.sum(s.position)
         force, total, smallest = (x + unknown for x in (found.force, found.total, found.smallest))

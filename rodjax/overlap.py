@@ -25,7 +25,6 @@ from rodjax.compilation import compiled
 from rodjax.contact import Contact, Sites, sites
 from rodjax.contact_energy import pair_energy
 from rodjax.contact_laws import PairProperties
-from rodjax.rod import Rod
 from rodjax.scene import Scene
 from rodjax.state import State
 
@@ -65,8 +64,10 @@ class _Limits(NamedTuple):
 
 
 @compiled
-def _limits(contact: Contact, rod: Rod) -> _Limits:
-    where = sites(contact, rod)
+def _limits(scene: Scene) -> _Limits:
+    contact = scene.contact
+    assert contact is not None
+    where = sites(contact, scene.rod, scene.closed)
     middle = lambda v: v[:, v.shape[1] // 2]
     mass = None if where.mass is None else middle(where.mass)
     held = least_held(contact, PairProperties(middle(where.diameter), mass))
@@ -78,7 +79,7 @@ def first_overlap(scene: Scene, positions) -> tuple[int, Overlap] | None:
     contact = scene.contact
     if contact is None:
         return None
-    limits = jax.tree.map(np.asarray, _limits(contact, scene.rod))
+    limits = jax.tree.map(np.asarray, _limits(scene))
     where = limits.where
     for k, position in enumerate(np.asarray(positions)):
         if not np.all(np.isfinite(position)):
@@ -98,10 +99,9 @@ def _nearest(contact: Contact, limits: _Limits, joints) -> Overlap | None:
     middles = 0.5 * (joints[1:] + joints[:-1])
     pairs = KDTree(middles).query_pairs(reach, output_type="ndarray")
     length = float(where.spacing) * contact.points_per_segment
-    whole = length * contact.segments
+    around = np.inf if where.around is None else float(where.around)
     apart = np.abs(pairs[:, 1] - pairs[:, 0])
-    if contact.closed:
-        apart = np.minimum(apart, contact.segments - apart)
+    apart = np.minimum(apart, around / length - apart)
     pairs = pairs[(apart + 1) * length >= limits.excluded]
     if not len(pairs):
         return None
@@ -109,8 +109,7 @@ def _nearest(contact: Contact, limits: _Limits, joints) -> Overlap | None:
     u, v, distance = _closest(joints[a], chords[a], joints[b], chords[b])
     first, second = (a + u) * length, (b + v) * length
     along = np.abs(second - first)
-    if contact.closed:
-        along = np.minimum(along, whole - along)
+    along = np.minimum(along, around - along)
     limit = 0.5 * (held[a] + held[b])
     near = (distance < limit) & (along >= limits.excluded)
     if not np.any(near):

@@ -155,7 +155,8 @@ def paper_step(
     state, rod = fields.state, scene.rod
     push, code = jnp.zeros_like(state.position), jnp.asarray(Result.SUCCESS, jnp.int32)
     if scene.contact is not None:
-        found = contact_forces.report(scene.contact, rod, state.position, state.velocity)
+        at = state.position, state.velocity
+        found = contact_forces.report(scene.contact, rod, *at, scene.closed)
         push = found.force / rod.node_length[:, None]
         code = jnp.where(found.overflow, Result.CAPACITY_OVERFLOW, Result.SUCCESS)
     equations = PaperEquations(

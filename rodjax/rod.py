@@ -317,7 +317,7 @@ def curved_rod(
     edges = rotations.tangent_director(jnp.asarray(halfway))
     xp = module_of(edges, ds, positions)
     edges = ds[:, None] * (np.asarray(edges) if xp is np else edges)
-    position = positions[-1] + xp.concatenate([xp.zeros((1, 3)), xp.cumsum(edges, 0)])
+    position = positions[-1][None] + xp.concatenate([xp.zeros((1, 3)), xp.cumsum(edges, 0)])
     before, after = jnp.asarray(quaternion[:-1]), jnp.asarray(quaternion[1:])
     relative = rotations.multiply(rotations.conjugate(before), after)
     curvature = rotations.logarithm(relative) / ds[:, None]

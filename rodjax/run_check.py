@@ -170,7 +170,7 @@ def _contact(scene: Scene, run: Run) -> dict[str, Finding | None]:
     ratio = float(np.min(np.asarray(found.smallest)))
     if not np.isfinite(ratio):
         return {}
-    where = contact.sites(the_contact, scene.rod)
+    where = contact.sites(the_contact, scene.rod, scene.closed)
     diameter = np.max(np.asarray(where.diameter))
     mass = None if where.mass is None else jnp.mean(where.mass)
     pair = PairProperties(jnp.asarray(diameter), mass)

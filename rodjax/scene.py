@@ -7,7 +7,7 @@ import jax
 import jax.core
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from rodjax import probing
 from rodjax.brief import brief
@@ -15,7 +15,7 @@ from rodjax.contact import Contact
 from rodjax.ends import AbstractEnd, Free, check_end
 from rodjax.loads import AbstractLoad, LinearDrag
 from rodjax.rod import Rod
-from rodjax.validation import as_traced, check_instance, known
+from rodjax.validation import as_traced, check_instance
 
 
 def _with_arrays(part):
@@ -43,24 +43,7 @@ class Scene(eqx.Module):
 
     def __post_init__(self):
         if isinstance(self.contact, Contact) and isinstance(self.rod, Rod):
-            self.contact = self.contact.fitted(self.rod, self._closed())
-
-    def _closed(self) -> bool:
-        """Whether both ends are held at one place for good, as those of a ring."""
-        positions, diameter = self.rod.position, self.rod.diameter
-        if not (known(positions) and known(diameter) and positions.ndim == 2):
-            return False
-        places = np.asarray(positions)  # before it is indexed: in traced code that would be traced
-        gap = np.linalg.norm(places[-1] - places[0])
-        # nearer than any two solid strands
-        if not gap < 0.5 * np.min(np.asarray(diameter)):
-            return False
-        if not all(isinstance(end, AbstractEnd) and end.displacement is None for end in self.ends):
-            return False
-        with jax.ensure_compile_time_eval():
-            times = [jnp.asarray(0.0), *self.switch_times]
-            held = [end.projector(t)[:3, :3] for end in self.ends for t in times if known(t)]
-        return all(known(one) and np.array_equal(one, np.eye(3)) for one in held)
+            self.contact = self.contact.fitted(self.rod)
 
     def __check_init__(self):
         self._check_kinds()
@@ -109,6 +92,25 @@ class Scene(eqx.Module):
     def ends(self) -> tuple[AbstractEnd, AbstractEnd]:
         """Both ends, that at s = 0 first."""
         return self.first_end, self.last_end
+
+    @property
+    def closed(self) -> bool | Bool[Array, ""]:
+        """Whether both ends are held at one place for good, as those of a ring.
+
+        Parts beside the junction are then neighbours: along the rod the shorter way counts. False
+        where the kinds of the ends exclude it; else it follows from where the rod is placed, in
+        traced code as well.
+        """
+        fixed = [end.fixed for end in self.ends]
+        diameter = self.rod.diameter
+        if diameter is None or any(one is False for one in fixed):
+            return False
+        gap = self.rod.position[-1] - self.rod.position[0]
+        # nearer than any two solid strands
+        closed = jnp.sum(gap**2) < (0.5 * jnp.min(diameter)) ** 2
+        for one in fixed:
+            closed = closed & one
+        return closed
 
     @property
     def switch_times(self) -> tuple[Float[Array, ""], ...]:

@@ -67,7 +67,7 @@ def search(
     s = jnp.mean(where.arc_length, 1)
     segment = jnp.arange(contact.segments)
     once = (segment[:, None] < segment[None, :]) & (
-        along(contact, where, s[:, None], s[None, :]) + 2 * half >= contact.excluded
+        along(where, s[:, None], s[None, :]) + 2 * half >= contact.excluded
     )
 
     def pairs():
@@ -179,7 +179,7 @@ def approach_limit(
         pair = lambda v: points(v, second)[:, None, :] - points(v, first)[:, :, None]
         r, w = pair(x), pair(dx)
         squared = jnp.sum(r**2, -1)
-        apart = along(contact, where, arc_length[first][:, :, None], arc_length[second][:, None, :])
+        apart = along(where, arc_length[first][:, :, None], arc_length[second][:, None, :])
         acts = (apart >= excluded) & valid[:, None, None] & (squared > 0)
         distance = jnp.sqrt(jnp.where(squared > 0, squared, 1.0))
         closing = -jnp.sum(r * w, -1) / distance

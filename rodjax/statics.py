@@ -204,7 +204,8 @@ def static_balance(
     if scene.loads:
         wrench = wrench - factor * total_wrench(scene.loads, scene.rod, motion)
     if scene.contact is not None:
-        pushed = contact_forces.report(scene.contact, scene.rod, motion.position, motion.velocity)
+        at = motion.position, motion.velocity
+        pushed = contact_forces.report(scene.contact, scene.rod, *at, scene.closed)
         wrench = wrench.at[:, :3].add(-pushed.force)
     return wrench, inner.constraint
 

@@ -190,30 +190,63 @@ def test_a_tip_pushed_into_a_strand_is_pushed_back(gap):
     assert push(law, end=gap)[0] == pytest.approx(expected, rel=0.05)
 
 
-def test_ends_of_a_ring_are_neighbours():
-    """Clamped to one point, they do not repel each other; the sides of an oval still do."""
-    radius = 0.1
+def ring(radius=0.1, last_end=None):
+    """A rod clamped into a ring, with contact."""
+    around = lambda s: s / radius
     circle = lambda s: jnp.stack(
-        [radius * jnp.sin(s / radius), 0 * s, radius - radius * jnp.cos(s / radius)]
+        [radius * jnp.sin(around(s)), 0 * s, radius - radius * jnp.cos(around(s))]
     )
     section = rx.Section((1.0, 1.0, 0.8), mass=1.0, diameter=0.01)
-    rod = rx.curved_rod(circle, 2 * np.pi * radius, 32, section)
-    contact = rx.Contact(rx.DebyeHueckel(1.0, 0.005), 64, cutoff=0.04)
-    ring = rx.Scene(rod, rx.Clamped(), rx.Clamped(), contact=contact)
-    assert ring.contact.closed
-    still = jnp.zeros_like(rod.position)
-    assert float(report(ring.contact, rod, rod.position, still).total) == 0
-    flat = rod.position * jnp.asarray([[1.0, 1.0, 0.12]])
-    pressed = report(ring.contact, rod, flat, still)
-    assert float(pressed.total) > 0
+    rod = rx.curved_rod(circle, 2 * np.pi * radius, 16, section)
+    contact = rx.Contact(rx.DebyeHueckel(1.0, 0.005), 32, 0.04, 2, pairs_per_segment=8)
+    return rx.Scene(rod, rx.Clamped(), rx.Clamped() if last_end is None else last_end,
+                    contact=contact)  # fmt: skip
+
+
+def squeezed(scene, flatness):
+    """What the contact of a ring does that is pressed flat, on its nodes and in all."""
+    flat = scene.rod.position * jnp.stack([1.0, 1.0, flatness]).reshape(1, 3)
+    found = report(scene.contact, scene.rod, flat, jnp.zeros_like(flat), scene.closed)
+    return found.force, found.total, found.overflow
+
+
+def test_ends_of_a_ring_are_neighbours():
+    """Clamped to one point, they do not repel each other; the sides of an oval still do."""
+    scene = ring()
+    assert scene.closed
+    assert float(squeezed(scene, 1.0)[1]) == 0
+    force, total, _ = squeezed(scene, 0.12)
+    assert float(total) > 0
     # apart only where the strands are, a quarter along
-    assert float(jnp.max(jnp.abs(pressed.force[:3]))) < 0.2 * float(jnp.max(jnp.abs(pressed.force)))
-    for ends in ((rx.Clamped(), rx.Free()), (rx.Free(), rx.Free())):
-        assert not rx.Scene(rod, *ends, contact=contact).contact.closed
+    assert float(jnp.max(jnp.abs(force[:2]))) < 0.2 * float(jnp.max(jnp.abs(force)))
+    assert ring(last_end=rx.Pinned()).closed
     away = rx.Clamped(displacement=rx.Constant(jnp.zeros(3)))
-    assert not rx.Scene(rod, rx.Clamped(), away, contact=contact).contact.closed
-    hold = rx.Switched(rx.Free(), rx.Clamped(), 1.0)
-    assert not rx.Scene(rod, rx.Clamped(), hold, contact=contact).contact.closed
+    for end in (rx.Free(), rx.Slider((0.0, 0.0, 1.0)), away):
+        assert ring(last_end=end).closed is False
+    assert not ring(last_end=rx.Switched(rx.Free(), rx.Clamped(), 1.0)).closed
+    assert ring(last_end=rx.Switched(rx.Pinned(), rx.Clamped(), 1.0)).closed
+    # it belongs to the scene as it is, not to the contact it was made with
+    opened = eqx.tree_at(lambda s: s.rod.position, scene, scene.rod.position.at[-1, 0].add(0.02))
+    assert not opened.closed
+
+
+def test_a_ring_of_traced_code_is_a_ring():
+    """Its forces are those of the ring made outside, under jit, vmap and grad."""
+
+    def made(flatness, radius):
+        force, total, overflow = squeezed(ring(radius), flatness)
+        return total, (force, overflow)
+
+    h = 1e-6
+    slopes = jax.vmap(jax.value_and_grad(made, has_aux=True))
+    flatness = jnp.asarray([1.0, 0.12, 0.12 + h, 0.12 - h])
+    (total, (force, overflow)), slope = jax.jit(slopes)(flatness, jnp.full(4, 0.1))
+    assert float(total[0]) == 0 and float(slope[0]) == 0
+    expected = squeezed(ring(), 0.12)
+    assert float(total[1]) == pytest.approx(float(expected[1]), rel=1e-9)
+    np.testing.assert_allclose(force[1], expected[0], atol=1e-9 * float(expected[1]))
+    assert not np.any(overflow)
+    assert float(slope[1]) == pytest.approx(float(total[2] - total[3]) / (2 * h), rel=1e-5)
 
 
 def test_lists_hold_two_strands_by_default():
