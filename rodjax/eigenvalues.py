@@ -32,6 +32,7 @@ class _Factored(NamedTuple):
 
     stiffness: Float[Array, "m m"]
     weight: Float[Array, "m m"]
+    inverse: Float[Array, "m k"]  # pseudo-inverse of the held directions
     free: Float[Array, "m m"]  # projector on the directions that are not held
     lower: Float[Array, "m m"]
     sigma: Float[Array, ""]
@@ -65,20 +66,25 @@ def far_above(matrix: Float[Array, "m m"]) -> Float[Array, ""]:
     return 2 * jnp.max(jnp.sum(jnp.abs(matrix), 1))
 
 
+def rank_tolerance(dtype) -> float:
+    """Singular values of held directions, over the largest, that are no more than rounding."""
+    return 0.1 * float(jnp.finfo(dtype).eps) ** 0.5
+
+
 def _factor(stiffness, weight, held, unit) -> _Factored:
     # the ends' rows may depend on each other (two clamps of a straight inextensible rod)
-    rank_tolerance = 0.1 * jnp.sqrt(jnp.finfo(held.dtype).eps)
-    rows = jnp.linalg.pinv(held, rtol=rank_tolerance) @ held
-    free = jnp.eye(rows.shape[0], dtype=rows.dtype) - rows
-    stiffness, weight, free, unit = lax.stop_gradient((stiffness, weight, free, unit))
+    stiffness, weight, held, unit = lax.stop_gradient((stiffness, weight, held, unit))
+    inverse = jnp.linalg.pinv(held, rtol=rank_tolerance(held.dtype))
+    rows = inverse @ held
+    free = jnp.eye(len(rows), dtype=rows.dtype) - rows
     k, w = free @ stiffness @ free, _symmetric(free @ weight @ free)
     even = _symmetric(k)
-    even = even + far_above(even) * _symmetric(lax.stop_gradient(rows))
+    even = even + far_above(even) * _symmetric(rows)
     factor = lambda sigma: jnp.linalg.cholesky(even + sigma * w)
     indefinite = lambda carry: ~jnp.all(jnp.isfinite(carry[1])) & (carry[0] < 1e20 * unit)
     raised = lambda carry: (4 * carry[0], factor(4 * carry[0]))
     sigma, lower = lax.while_loop(indefinite, raised, (unit, factor(unit)))
-    return _Factored(k, w, free, lower, sigma)
+    return _Factored(k, w, inverse, free, lower, sigma)
 
 
 def lowest(
@@ -91,9 +97,10 @@ def lowest(
     """The `count` eigenvalues of least real part; of a complex pair, that of positive imaginary
     part first.
 
-    Values can be differentiated, d mu = x^H (dK - mu dW) y / x^H W y with the left vector x;
-    those that coincide as their mean (of a pair that is about to become complex, whose x^H W y
-    vanishes, the derivative is infinite). Vectors are constants.
+    Values can be differentiated once, d mu = x^H (dK - mu dW) y / x^H W y with the left vector x,
+    where x and y turn with the held directions, dy = -held^+ d(held) y; those that coincide as
+    their mean (of a pair that is about to become complex, whose x^H W y vanishes, the derivative
+    is infinite). Vectors are constants.
     """
     factored = _factor(stiffness, weight, held, unit)
     c = factored.antisymmetric()
@@ -107,6 +114,9 @@ def lowest(
     # there may be fewer modes with weight: the others must not enter a derivative
     finite = jnp.isfinite(values) & jnp.all(jnp.isfinite(left) & jnp.isfinite(right), 1)
     x, y = (jnp.where(finite[:, None], vectors, 0.0) for vectors in (left, right))
+    # what else y changes by stays among free directions, in which x feels no force
+    rows, inverse = held.astype(y.dtype), factored.inverse.astype(y.dtype)
+    x, y = (vectors - (vectors @ rows.T) @ inverse.T for vectors in (x, y))
     work = jnp.einsum("ki,ij,kj->k", x, stiffness.astype(x.dtype), y)
     weighed = jnp.einsum("ki,ij,kj->k", x, weight.astype(x.dtype), y)
     work = work - jnp.where(finite, values, 0.0) * weighed
