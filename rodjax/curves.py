@@ -18,25 +18,52 @@ _GAUSS = np.polynomial.legendre.leggauss(8)
 _NEWTON = 5  # iterations for the parameter at an arc length, from a guess that is nearly right
 
 
-def along(curve: Callable, s: AnyArray) -> AnyArray:
-    """Positions (k, 3) of a curve at arc lengths (k,): traced where the curve or they are."""
-    if not isinstance(s, jax.core.Tracer):
-        first = called("curve", curve, s[0])
-        if not isinstance(array_of(first), jax.core.Tracer):
-            # one by one, for the curve may be written with numpy and `if`
-            rest = [called("curve", curve, place) for place in s[1:]]
-            return np.stack([vector(position, "curve") for position in (first, *rest)])
+def along(curve: Callable, s: AnyArray) -> tuple[AnyArray, AnyArray]:
+    """Position (3,) of a curve at the first of the arc lengths (k,), and its slopes at all (k, 3).
+
+    Traced where the curve or they are. The slopes of a curve written with jax.numpy are exact in
+    any precision; those of one that cannot be differentiated are differences.
+    """
+    if isinstance(s, jax.core.Tracer):
+        return _differentiated(curve, s)
+    first = called("curve", curve, s[0])
+    if isinstance(array_of(first), jax.core.Tracer):
+        return _differentiated(curve, s)
+    begin = vector(first, "curve")
+    if any(isinstance(part, jax.Array) for part in jax.tree.leaves(first)):
+        try:
+            slopes = np.asarray(_differentiated(curve, s)[1], float)
+        except Exception:  # numpy or `if` after all, or what jax has no derivative of
+            slopes = np.nan
+        if np.all(np.isfinite(slopes)):
+            return begin, slopes
+    return begin, _differences(curve, s, np.asarray(first).dtype)
+
+
+def _differentiated(curve, s):
     s = jnp.asarray(s)
     shape = returned("curve", curve, jax.ShapeDtypeStruct((), s.dtype)).shape
     if shape != (3,):
         raise ValueError(f"curve: must give three components, got shape {shape}")
-    return jax.vmap(lambda place: jnp.asarray(curve(place)))(s)
+    at = lambda place: jnp.asarray(curve(place))
+    slope = lambda place: jax.jvp(at, (place,), (jnp.ones_like(place),))[1]
+    return at(s[0]), jax.vmap(slope)(s)
+
+
+def _differences(curve, s, dtype):
+    """Central ones, of places so far apart that they are told apart in the curve's precision."""
+    part = 1e-4 if np.finfo(dtype if dtype.kind == "f" else float).eps < 1e-12 else 0.3
+    step = part * s[-1] / (len(s) - 1)
+    # one by one, for the curve may be written with numpy and `if`
+    at = lambda place: vector(called("curve", curve, place), "curve")
+    return np.stack([at(place + step) - at(place - step) for place in s]) / (2 * step)
 
 
 def through(points: Any, length: Any = None) -> tuple[Callable, np.floating | AnyArray]:
-    """The cubic spline through points (k, 3) as a function of arc lengths (m,), and its length.
+    """The cubic spline through points (k, 3), and its length.
 
-    `length` is that of the rod to be: where it is traced the arc lengths will be.
+    The spline is a function of arc lengths (m,), to positions (m, 3) and slopes (m, 3). `length` is
+    that of the rod to be: where it is traced the arc lengths will be.
 
     Its parameter is the length along the chords; at the ends the third derivative has no jump
     beside the first and last points (two points make a line, three a parabola).
@@ -82,9 +109,11 @@ def through(points: Any, length: Any = None) -> tuple[Callable, np.floating | An
         t = wanted / each[i]
         for _ in range(_NEWTON):
             t = t - (passed(i, t) - wanted) / speed(i, t)
+        slopes = slope(i, t) / speed(i, t)[:, None]
         h, t = chord[i][:, None], t[:, None]
         straight = (1 - t) * x[i] + t * x[i + 1]
-        return straight + h**2 / 6 * ((t**3 - t) * bend[i + 1] + ((1 - t) ** 3 - (1 - t)) * bend[i])
+        curved = (t**3 - t) * bend[i + 1] + ((1 - t) ** 3 - (1 - t)) * bend[i]
+        return straight + h**2 / 6 * curved, slopes
 
     return at, begin[-1]
 

@@ -290,24 +290,24 @@ def curved_rod(
                 f" {float(wanted):.6g}; give length=None for its own"
             )
         length = wanted
-        at = lambda s: along(s * (measured / wanted))
+
+        def at(s):
+            positions, slopes = along(s * (measured / wanted))
+            return positions[0], slopes
+
     total: Any = length
     nodes = grid(total, elements, jumps)
     ds = nodes[1:] - nodes[:-1]
-    step = 1e-4 * nodes[-1] / len(ds)
-    both = module_of(nodes).concatenate([nodes + step, nodes - step, nodes[:1]])
-    positions = at(both)
-    xp = module_of(positions)
-    tangents = positions[: len(nodes)] - positions[len(nodes) : -1]
-    size = xp.sqrt(xp.sum(tangents**2, 1))
-    speed = size / (2 * step)
+    begin, slopes = at(nodes)
+    xp = module_of(slopes)
+    speed = xp.sqrt(xp.sum(slopes**2, 1))
     if known(speed) and not np.all(np.abs(speed - 1) <= 0.01):
         raise ValueError(
             "curve: must be parametrised by arc length; |d curve/ds| ranges over"
             f" [{np.min(speed):.4g}, {np.max(speed):.4g}]; where it has another parameter give its"
             " points (k, 3) instead, which are measured"
         )
-    tangents = tangents / size[:, None]
+    tangents = slopes / speed[:, None]
     if known(tangents) and np.any(np.sum(tangents[1:] * tangents[:-1], 1) < -0.9):
         raise ValueError("curve: turns back from node to node; use more elements")
     quaternion = carried(tangents, first_frame(tangents[0], first_director))
@@ -315,9 +315,9 @@ def curved_rod(
     halfway = quaternion[:-1] + quaternion[1:]
     halfway = halfway / xp.sqrt(xp.sum(halfway**2, 1, keepdims=True))
     edges = rotations.tangent_director(jnp.asarray(halfway))
-    xp = module_of(edges, ds, positions)
+    xp = module_of(edges, ds, begin)
     edges = ds[:, None] * (np.asarray(edges) if xp is np else edges)
-    position = positions[-1][None] + xp.concatenate([xp.zeros((1, 3)), xp.cumsum(edges, 0)])
+    position = begin[None] + xp.concatenate([xp.zeros((1, 3)), xp.cumsum(edges, 0)])
     before, after = jnp.asarray(quaternion[:-1]), jnp.asarray(quaternion[1:])
     relative = rotations.multiply(rotations.conjugate(before), after)
     curvature = rotations.logarithm(relative) / ds[:, None]

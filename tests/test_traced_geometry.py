@@ -154,26 +154,29 @@ def circle(count, turn=1.9 * np.pi):
 
 
 def test_points_are_measured_and_followed_to_fourth_order():
-    errors, lengths = [], []
+    errors, slopes, lengths = [], [], []
     for count in (20, 40, 80):
         at, length = through(circle(count))
         s = np.linspace(0.0, float(length), 50)
         exact = np.stack([np.cos(s), np.sin(s), 0 * s], 1)
-        errors.append(np.max(np.abs(at(s) - exact)))
+        errors.append(np.max(np.abs(at(s)[0] - exact)))
         lengths.append(abs(float(length) - 1.9 * np.pi))
+        tangents = np.stack([-np.sin(s), np.cos(s), 0 * s], 1)
+        slopes.append(np.max(np.abs(at(s)[1] - tangents)))
     assert errors[0] < 1e-3 and errors[0] / errors[2] > 100
+    assert slopes[0] < 3e-2 and slopes[0] / slopes[2] > 30
     assert lengths[0] < 1e-3 and lengths[2] < 1e-6
 
 
 def test_few_points():
     at, length = through([[0.0, 0, 0], [3.0, 4.0, 0]])
     assert float(length) == pytest.approx(5.0, abs=1e-14)
-    np.testing.assert_allclose(at(np.array([2.5])), [[1.5, 2.0, 0.0]], atol=1e-14)
+    np.testing.assert_allclose(at(np.array([2.5]))[0], [[1.5, 2.0, 0.0]], atol=1e-14)
     # three points of a parabola, equally spaced by their chords
     at, length = through([[-1.0, 1, 0], [0.0, 0, 0], [1.0, 1, 0]])
     expected = np.sqrt(5) + np.arcsinh(2) / 2
     assert float(length) == pytest.approx(expected, rel=1e-6)
-    np.testing.assert_allclose(at(np.array([expected / 2])), np.zeros((1, 3)), atol=1e-7)
+    np.testing.assert_allclose(at(np.array([expected / 2]))[0], np.zeros((1, 3)), atol=1e-7)
 
 
 def test_a_rod_through_points():
@@ -195,6 +198,47 @@ def test_a_rod_through_points():
 def test_points_that_make_no_curve(points):
     with pytest.raises(ValueError, match="^curve: "):
         curved_rod(points, 1.0, 4, UNIT_SECTION)
+
+
+# Single precision
+
+
+def by_parts(s):
+    """Numpy and `if` cannot be differentiated, whatever they return."""
+    return jnp.array([np.cos(s), np.sin(s), 0.0]) if s < 10 else jnp.zeros(3)
+
+
+@pytest.mark.parametrize(
+    ("curve", "traced"),
+    [
+        (lambda s: jnp.stack([jnp.cos(s), jnp.sin(s), 0 * s]), True),
+        (lambda s: np.array([np.cos(s), np.sin(s), 0.0]), False),
+        (lambda s: np.array([np.cos(s), np.sin(s), 0.0], np.float32), False),
+        (by_parts, False),
+    ],
+    ids=["jax", "numpy", "single numpy", "untraceable"],
+)
+def test_the_curvature_of_a_circle_in_single_precision(curve, traced):
+    with jax.enable_x64(False):
+        build = lambda length: curved_rod(curve, length, 200, UNIT_SECTION).natural_curvature
+        for found in (build(6.0), *([jax.jit(build)(6.0)] if traced else [])):
+            assert found.dtype == jnp.float32
+            np.testing.assert_allclose(np.linalg.norm(found, axis=1), 1.0, rtol=3e-4)
+
+
+def test_a_curve_without_a_finite_derivative_is_taken_by_differences():
+    """Of a root at its start, and where jax knows no forward mode."""
+
+    @jax.custom_vjp
+    def own(s):
+        return jnp.stack([jnp.cos(s), jnp.sin(s), 0 * s])
+
+    own.defvjp(lambda s: (own(s), s), lambda s, g: (jnp.sum(g),))
+    rooted = lambda s: own(s) + 0 * jnp.sqrt(jnp.abs(s))
+    for curve in (own, rooted):
+        rod = curved_rod(curve, 1.0, 4, UNIT_SECTION)
+        np.testing.assert_allclose(rod.natural_curvature[:, 2], 0.0, atol=1e-8)
+        np.testing.assert_allclose(np.linalg.norm(rod.natural_curvature, axis=1), 1.0, rtol=1e-7)
 
 
 # Components
