@@ -9,6 +9,7 @@ is not plain is not read, and says so where somebody asks for it.
 import dataclasses
 import io
 import json
+import math
 import os
 import warnings
 from pathlib import Path
@@ -16,7 +17,7 @@ from typing import TypeVar
 
 import h5py
 import numpy as np
-from h5py import h5a, h5d, h5g, h5l, h5o, h5s, h5t  # pyright: ignore[reportAttributeAccessIssue]
+from h5py import h5a, h5d, h5g, h5l, h5o, h5s, h5t, h5z  # pyright: ignore[reportAttributeAccessIssue]
 
 from rodjax.results import ModelWarning
 from rodjax.sealed_files import StorageError, frames
@@ -192,7 +193,11 @@ class _PlainReader:
             return dataclasses.replace(node, problem="lies in another file")
         if not _is_number(kind):
             return dataclasses.replace(node, problem="is not an array of plain numbers")
-        self.count(space.get_simple_extent_npoints() * kind.get_size())
+        # no filter of HDF5's that unpacks says beforehand how much it unpacks to
+        filters = [layout.get_filter(i)[0] for i in range(layout.get_nfilters())]
+        if any(code != h5z.FILTER_FLETCHER32 for code in filters):
+            return dataclasses.replace(node, problem="is packed; unpack it by h5repack -f NONE")
+        self.count(_values_held(space, layout) * kind.get_size())
         value = h5py.Dataset(data)[()]
         if value.dtype.byteorder in "<>":  # to this machine's order
             value = value.astype(value.dtype.newbyteorder("="))
@@ -229,6 +234,14 @@ class _Holder:
     """What h5py's manager of attributes asks of an object."""
 
     id: object
+
+
+def _values_held(space, layout) -> int:
+    """How many values reading the dataset holds at least: HDF5 reads chunks as a whole."""
+    values = space.get_simple_extent_npoints()
+    if layout.get_layout() != h5d.CHUNKED:
+        return values
+    return max(values, math.prod(layout.get_chunk()))
 
 
 def _is_number(kind) -> bool:

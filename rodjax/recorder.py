@@ -77,7 +77,10 @@ class Recorder:
         others = {"method": method, "control": control, "measures": None, "schedule": None}
         run = _nothing_yet(prepare(scene, state))
         write_run(path, scene, run, units, others)
-        self._begin(path, {"scene": scene, "run": run, "units": units, **others})
+        with contextlib.ExitStack() as unless_begun:
+            stream = unless_begun.enter_context(_locked(path))
+            self._begin(path, stream, {"scene": scene, "run": run, "units": units, **others})
+            unless_begun.pop_all()
 
     @classmethod
     def append(
@@ -89,14 +92,17 @@ class Recorder:
     ) -> "Recorder":
         """Go on with a file of `save` or of a recorder; arguments are those of `storage.load`."""
         path = hdf5_path(path)
-        parts = read_run(path, classes, functions)
         made = object.__new__(cls)
-        made._begin(path, parts)
+        with contextlib.ExitStack() as unless_begun:
+            # locked before it is read: what another recorder appends meanwhile would be lost
+            stream = unless_begun.enter_context(_locked(path))
+            made._begin(path, stream, read_run(path, classes, functions))
+            unless_begun.pop_all()
         return made
 
-    def _begin(self, path: Path, parts: dict[str, Any]) -> None:
+    def _begin(self, path: Path, stream: io.BufferedRandom, parts: dict[str, Any]) -> None:
         self.path, self._parts = path, parts
-        self._stream, self._last = _opened(path)
+        self._stream, self._last = stream, _last_whole(stream, path)
         run = parts["run"]
         self._after = float(run.resume_state.time)
         self._counts = run.rejected, run.wasted_iterations
@@ -181,26 +187,50 @@ def _nothing_yet(state: State) -> Run:
     return Run(states, none, as_code(Result.INTERRUPTED), zero, zero)
 
 
-def _opened(path: Path) -> tuple[io.BufferedIOBase, Frame]:
-    """The file to append to, its own for as long as it is open, and its last whole frame."""
+def _locked(path: Path) -> io.BufferedRandom:
+    """The file to append to, the recorder's own for as long as it is open.
+
+    Raises:
+        StorageError: another recorder has it, or it cannot be written.
+        FileNotFoundError: there is no such file.
+    """
     try:
         stream = open(path, "r+b")  # noqa: SIM115 (the recorder closes it)
+    except FileNotFoundError as error:
+        raise FileNotFoundError(f"path: there is no file {path}") from error
     except OSError as error:
         raise StorageError(f"path: {path} cannot be written: {error}") from error
+    problem = f"another process is recording to {path}"
     try:
-        if fcntl is not None:
+        if _taken(stream, path):
+            return stream
+    except OSError as error:
+        problem = f"{path} cannot be locked: {error}"
+    stream.close()
+    raise StorageError(f"path: {problem}")
+
+
+def _taken(stream: io.BufferedRandom, path: Path) -> bool:
+    """Whether the lock of the file was free, and it is still the file of this path."""
+    if fcntl is not None:
+        try:
             fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            return False
+    # a recorder that closes puts another file in its place
+    return os.path.samestat(os.fstat(stream.fileno()), os.stat(path))
+
+
+def _last_whole(stream: io.BufferedRandom, path: Path) -> Frame:
+    """The last whole frame, behind which the file is cut off: what a kill left of a chunk."""
+    try:
         found = frames(stream, path).whole
         if found is None:
             raise StorageError(f"path: {path} has no checksums; load and save it first")
-        stream.truncate(found[-1].stop)  # what a kill left of a chunk
+        stream.truncate(found[-1].stop)
     except OSError as error:
-        stream.close()
-        raise StorageError(f"path: another process is recording to {path}") from error
-    except BaseException:
-        stream.close()
-        raise
-    return stream, found[-1]
+        raise StorageError(f"path: {path} cannot be written: {error}") from error
+    return found[-1]
 
 
 def _appended(stream: io.BufferedIOBase, image: bytes, last: Frame, path: Path) -> Frame:

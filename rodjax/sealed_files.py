@@ -11,6 +11,7 @@ import contextlib
 import hashlib
 import io
 import os
+import secrets
 import struct
 from collections.abc import Iterator
 from pathlib import Path
@@ -81,14 +82,16 @@ def replacing(path: str | os.PathLike) -> Iterator[h5py.File]:
         StorageError: the path is no place for such a file, or the disk refuses it.
     """
     path = hdf5_path(path)
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    target = Path(os.path.realpath(path))  # what a link points to is replaced, not the link
+    # of no other name: another thread may be writing to this path
+    temporary = target.with_name(f".{target.name}.{secrets.token_hex(8)}.tmp")
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with h5py.File(temporary, "w", userblock_size=HEADER_SIZE) as file:
+        target.parent.mkdir(parents=True, exist_ok=True)
+        with h5py.File(temporary, "x", userblock_size=HEADER_SIZE) as file:
             yield file
         seal(temporary)
-        os.replace(temporary, path)
-        flush(path.parent)
+        os.replace(temporary, target)
+        _flush_entries(target.parent)
     except OSError as error:
         raise StorageError(f"path: {path} cannot be written: {error}") from error
     finally:
@@ -104,7 +107,8 @@ def seal(path: Path) -> None:
         digest = _digest_of(stream, length)
         stream.seek(0)
         stream.write(_header(length, digest, _FIRST))
-    flush(path)
+        stream.flush()
+        os.fsync(stream.fileno())
 
 
 def framed(image: bytes, last: Frame) -> tuple[bytes, Frame]:
@@ -175,9 +179,11 @@ def _digest_of(stream: io.BufferedIOBase, length: int) -> bytes:
     return total.digest()
 
 
-def flush(path: Path) -> None:
-    """Have the operating system write a file, or the entries of a folder, to the disk."""
-    descriptor = os.open(path, os.O_RDONLY)
+def _flush_entries(folder: Path) -> None:
+    """Have the operating system write the entries of a folder to the disk."""
+    if os.name != "posix":  # elsewhere folders cannot be opened
+        return
+    descriptor = os.open(folder, os.O_RDONLY)
     try:
         os.fsync(descriptor)
     finally:

@@ -1,7 +1,9 @@
 """Files that are damaged, cut off, or come from a stranger: the same data or one StorageError."""
 
+import os
 import shutil
 import struct
+import types
 
 import h5py
 import jax.numpy as jnp
@@ -15,10 +17,11 @@ from rodjax import ends, storage
 from rodjax.contact import Contact
 from rodjax.contact_laws import Barrier
 from rodjax.loads import Gravity, LinearDrag
+from rodjax.plain_trees import read_images
 from rodjax.results import ModelWarning
 from rodjax.rod import Section, straight_rod
 from rodjax.scene import Scene
-from rodjax.sealed_files import HEADER_SIZE, StorageError, seal
+from rodjax.sealed_files import HEADER_SIZE, StorageError, replacing, seal
 
 SECTION = Section((1.0, 1.0, 0.8), mass=1.0, rotary_inertia=(1e-3, 1e-3, 2e-3), diameter=0.02)
 
@@ -216,6 +219,18 @@ def unpacks_to_gigabytes(file):
     new[:1] = 1.0
 
 
+def packed(file):
+    """HDF5's inflate goes on to the end of the stream, whatever the size of the chunk."""
+    replace(file, DIAMETER, np.ones(8), compression="gzip")
+
+
+def a_chunk_beyond_the_memory(file):
+    """One value, in a chunk of 128 MiB: reading a value reads its chunk."""
+    replace(
+        file, DIAMETER, shape=(1,), maxshape=(None,), dtype="f8", chunks=(1 << 24,), fletcher32=True
+    )
+
+
 def references(file):
     replace(file, DIAMETER, np.array([file["scene"].ref] * 8, dtype=h5py.ref_dtype))
 
@@ -271,6 +286,8 @@ HOSTILE = {
     "virtual data": virtual_data,
     "object pointers": object_pointers,
     "unpacks to gigabytes": unpacks_to_gigabytes,
+    "packed": packed,
+    "a chunk beyond the memory": a_chunk_beyond_the_memory,
     "16 GB never written": lambda file: replace(
         file, DIAMETER, shape=(2 * 10**9,), dtype="f8", chunks=(1 << 20,)
     ),
@@ -367,6 +384,45 @@ def test_places_that_cannot_be_written_or_read_are_named(base, tmp_path):
     with pytest.raises(StorageError, match="classes: "):
         storage.load(base[0], classes=[int])
     assert list(tmp_path.iterdir()) == []
+
+
+def test_what_a_link_points_to_is_replaced(base, tmp_path):
+    stored = base[1]
+    target, link = tmp_path / "there" / "run.h5", tmp_path / "run.h5"
+    target.parent.mkdir()
+    target.write_bytes(b"earlier")
+    link.symlink_to(target)
+    storage.save(link, stored.scene, stored.run)
+    assert link.is_symlink()
+    assert_identical(storage.load(target).scene, stored.scene)
+
+
+def test_two_threads_may_save_to_one_path(tmp_path):
+    path = tmp_path / "run.h5"
+    with replacing(path) as first, replacing(path) as second:
+        first["one"], second["two"] = 1, 2
+    # the last to end is the one that stays
+    assert list(read_images(path)[0][0].children) == ["one"]
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_systems_that_sync_no_folder_and_only_what_is_written(tmp_path, monkeypatch):
+    """As Windows does."""
+
+    fcntl = pytest.importorskip("fcntl")
+
+    def fsync(descriptor):
+        if fcntl.fcntl(descriptor, fcntl.F_GETFL) & os.O_ACCMODE == os.O_RDONLY:
+            raise OSError(9, "Bad file descriptor")
+
+    def refuse(*_):
+        raise PermissionError(13, "Permission denied")
+
+    system = {**vars(os), "name": "nt", "fsync": fsync, "open": refuse}
+    monkeypatch.setattr("rodjax.sealed_files.os", types.SimpleNamespace(**system))
+    with replacing(tmp_path / "run.h5") as file:
+        file["one"] = 1
+    assert list(read_images(tmp_path / "run.h5")[0][0].children) == ["one"]
 
 
 UNSTORABLE = {

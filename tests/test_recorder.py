@@ -184,6 +184,39 @@ def test_earlier_files_and_other_recorders_are_left_alone(tmp_path):
         storage.Recorder.append(tmp_path / "none.h5")
 
 
+def test_a_file_that_is_replaced_while_it_is_locked(tmp_path, monkeypatch):
+    """By a recorder that closes: what is appended to the old file would be lost with it."""
+    path = tmp_path / "run.h5"
+    recorded(path, 1)
+
+    def late(stream, mode):
+        other = tmp_path / "other.h5"
+        other.write_bytes(path.read_bytes())
+        other.replace(path)
+
+    with monkeypatch.context() as patch:
+        patch.setattr("rodjax.recorder.fcntl.flock", late)
+        with pytest.raises(StorageError, match="another process is recording"):
+            storage.Recorder.append(path)
+    storage.Recorder.append(path).close()
+
+
+def test_faults_of_the_disk_are_not_taken_for_another_recorder(tmp_path, monkeypatch):
+    path = tmp_path / "run.h5"
+    recorded(path, 1)
+
+    def broken(*_):
+        raise OSError(5, "Input/output error")
+
+    for what, message in (("frames", "cannot be written"), ("fcntl.flock", "cannot be locked")):
+        with monkeypatch.context() as patch:
+            patch.setattr(f"rodjax.recorder.{what}", broken)
+            with pytest.raises(StorageError, match=f"{message}: .*Input/output error"):
+                storage.Recorder.append(path)
+    # and no lock was left behind
+    storage.Recorder.append(path).close()
+
+
 def test_a_full_disk_loses_the_chunk_alone(tmp_path, monkeypatch):
     path = tmp_path / "run.h5"
     recorder = storage.Recorder(path, SCENE, START)
