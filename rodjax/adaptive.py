@@ -109,25 +109,10 @@ class _Progress(NamedTuple):
             switching=bool(out.switching),
         )
 
-    def _kept(self, count: int) -> "_Progress":
-        """With the first steps of the chunk alone."""
-        pieces = jax.tree.map(lambda *parts: np.concatenate(parts)[:count], *self.pieces)
-        state = self.begun[0]
-        if count:
-            state = jax.tree.map(lambda leaf: jnp.asarray(leaf[-1]), pieces[0])
-        return self._replace(state=state, control=self.begun[1], pieces=(pieces,))
-
     def closed(self, scene: Scene, max_steps: int) -> "_Progress":
-        """With the chunk among the parts, up to where strands overlap, unless one passed in it."""
+        """With the chunk among the parts, unless a strand passed in it."""
         now, count = self, self.count
-        found = None
-        if count:
-            places = np.concatenate([states.position for states, _ in self.pieces])
-            found = overlap.first_overlap(scene, places)
-        if found is not None:
-            count = found[0]
-            now = now._kept(count)._replace(code=Result.CONTACT_OVERCOME, done=True)
-        elif count and passages.passed_unseen(scene, self.begun[0], self.state):
+        if count and passages.passed_unseen(scene, self.begun[0], self.state):
             # somewhere in this chunk, of which nothing is kept
             state, control = self.begun
             code, none = Result.STRAND_PASSAGE, (self._nothing(state),)
@@ -174,9 +159,9 @@ def adaptive_rollout(
     `Run` of these steps (its states lack the start, its counts are those so far; see `join_runs`;
     none if the run fails before the first of them); `rodjax.storage.Recorder` keeps them.
     A chunk over which Tw + Wr jumped is dropped and the run fails by STRAND_PASSAGE; where strands
-    overlap so far that the contact cannot hold them it ends by CONTACT_OVERCOME. Not
-    differentiable itself: replay `run.times[1:]` by `rollout`, whose derivative is exact for that
-    schedule.
+    would overlap so far that the contact cannot hold them, with steps of any size, it ends by
+    CONTACT_OVERCOME. Not differentiable itself: replay `run.times[1:]` by `rollout`, whose
+    derivative is exact for that schedule.
     `compile_adaptive_rollout` compiles the loop beforehand.
 
     Args:
@@ -221,10 +206,11 @@ def adaptive_rollout(
     tolerances = tolerances_of(control, dtype)
     memory = begin(control, span, dtype, resume)
     end, size = jnp.asarray(end_time, dtype), min(chunk, max_steps)
+    held = overlap.distances_held(scene)
 
     def some(now: _Progress, passes) -> _Chunk:
         room = jnp.asarray(size - now.count, jnp.int32)
-        arguments = (end, method, tolerances, room, passes, size)
+        arguments = (end, method, tolerances, held, room, passes, size)
         return _adaptive_chunk(scene, now.state, now.control, *arguments)
 
     now, pace = _Progress.of(state, memory), Pace(size)
@@ -279,7 +265,8 @@ def compile_adaptive_rollout(
     method = GeneralizedAlpha() if method is None else method
     memory, tolerances = begin(control, 1.0, dtype), tolerances_of(control, dtype)
     none = jnp.asarray(0, jnp.int32)
-    out = _adaptive_chunk(scene, state, memory, state.time, method, tolerances, none, none, chunk)
+    held, end = overlap.distances_held(scene), state.time
+    out = _adaptive_chunk(scene, state, memory, end, method, tolerances, held, none, none, chunk)
     jax.block_until_ready(out.accepted)
 
 
@@ -290,7 +277,7 @@ def _placeholder(scene: Scene) -> State:
 
 
 @compiled
-def _adaptive_chunk(scene, state, control, end_time, method, tolerances, room, passes, size):
+def _adaptive_chunk(scene, state, control, end_time, method, tolerances, held, room, passes, size):
     """Attempts at steps: at most `passes`, until `room` are accepted, in buffers of `size`."""
     empty = lambda leaf: jnp.zeros((size, *leaf.shape), leaf.dtype)
     switches = jnp.asarray(scene.switch_times, end_time.dtype)
@@ -305,7 +292,7 @@ def _adaptive_chunk(scene, state, control, end_time, method, tolerances, room, p
         left = mark - now
         dt = jnp.where(left < 2 * dt, jnp.where(left < 1.01 * dt, left, 0.5 * left), dt)
         stop = jnp.where(left <= 1.0001 * dt, mark, now + dt)
-        new, info = advance_to(scene, loop.state, stop, method)
+        new, info = advance_to(scene, loop.state, stop, method, held)
         error = error_ratio(tolerances, scene.rod, loop.state, info)
         accept, following = choose(control, dt, error, info, stop == mark)
         too_small = ~accept & (following.dt < following.min_step)

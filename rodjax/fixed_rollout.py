@@ -21,7 +21,7 @@ from rodjax.corners import warn_of_corners
 from rodjax.failure import not_a_number
 from rodjax.generalized_alpha import GeneralizedAlpha
 from rodjax.given_steps import onto_switches, run_given_steps, until_failure
-from rodjax.overlap import check_apart
+from rodjax.overlap import check_apart, distances_held
 from rodjax.results import Result
 from rodjax.run import Run
 from rodjax.scene import Scene
@@ -53,10 +53,9 @@ def rollout(
         save_every: store every so many steps; the number of steps must be a multiple.
         throw: raise `SimulationError` if a step fails. Either way the motion up to the failure
             is kept: the error's `.partial` is the run up to it; without the error the states
-            after it are not numbers, nor is the derivative of what is built on them. Strands that
-            overlap too far, and a passage that shows only by the linking number of the whole run,
-            count from the first saved state that has them; steps that do not resolve the motion
-            are reported with all states.
+            after it are not numbers, nor is the derivative of what is built on them. A passage
+            that shows only by the linking number of the whole run counts from the first saved
+            state that has it; steps that do not resolve the motion are reported with all states.
 
     Differentiable in every array of scene, state, times and method, in forward and reverse mode;
     the reverse pass keeps of every step Newton's solution, of every `save_every` steps the state,
@@ -65,6 +64,10 @@ def rollout(
     constraints change, and the contact's `exclusion`, have no derivative.
 
     Outside traced code one compiled loop serves any number of steps, in calls of about a second.
+    Only there a start with strands too near for the contact and drives whose corners lie inside
+    steps are noticed, and the ended run is looked at for passages that no step saw (by the linking
+    number: STRAND_PASSAGE) and for ends that are not where their schedules put them (DRIVE_MISSED).
+    All that a step itself tells is told in traced code as well.
 
     Raises:
         ValueError: times or schedules do not fit (checked outside traced code).
@@ -134,7 +137,7 @@ def _rollout(scene, state, times, method, save_every):
         # after a failure no iterations are made
         left = jnp.where(failed == Result.SUCCESS, method.max_iterations, 0)
         limited = dataclasses.replace(method, max_iterations=left)
-        after, info = step(scene, before, stop, limited)
+        after, info = step(scene, before, stop, limited, held)
         info = jax.tree.map(
             lambda leaf: jnp.where(failed == Result.SUCCESS, leaf, jnp.zeros_like(leaf)), info
         )
@@ -153,6 +156,7 @@ def _rollout(scene, state, times, method, save_every):
         carry, infos = lax.scan(again(one), carry, stops)
         return carry, (carry[0], infos)
 
+    held = distances_held(scene)
     times = onto_switches(scene, state.time, times)
     start = (state, jnp.asarray(0, jnp.int32))
     (_, code), (saved, infos) = lax.scan(block, start, times.reshape(-1, save_every))

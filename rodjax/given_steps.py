@@ -51,9 +51,10 @@ def run_given_steps(
     nothing = lambda leaf: np.zeros((0, *leaf.shape), leaf.dtype)
     none = jax.tree.map(nothing, (state, no_info(state.position.dtype)))
     done, pace = _Done(state, 0, Result.SUCCESS, none[:1], none[1:]), Pace(_MOST)
+    held = overlap.distances_held(scene)
     try:
         while done.code is Result.SUCCESS and done.steps < len(times):
-            done = _advance(scene, done, times, method, save_every, pace)
+            done = _advance(scene, done, times, method, save_every, pace, held)
     except KeyboardInterrupt as error:
         states, infos = done.so_far(state)
         told = save_every * (len(states.time) - 1)
@@ -63,9 +64,6 @@ def run_given_steps(
     pad = lambda leaf: np.concatenate([leaf, np.zeros(len(times) - len(leaf), leaf.dtype)])
     run = _run(states, jax.tree.map(pad, infos), done.code)
     saved = np.append(states.time[:1], times[save_every - 1 :: save_every])
-    found = overlap.first_overlap(scene, states.position[1:])
-    if found is not None:
-        return _failed(run, Result.CONTACT_OVERCOME, found[0] * save_every, saved)
     if done.code is Result.SUCCESS:
         return _judged(scene, run, times, method)
     return _failed(run, done.code, done.steps, saved)
@@ -84,7 +82,7 @@ def until_failure(run: Run) -> Run:
     )
 
 
-def _advance(scene, done: _Done, times, method, save_every: int, pace: Pace) -> _Done:
+def _advance(scene, done: _Done, times, method, save_every: int, pace: Pace, held) -> _Done:
     """One call of the loop."""
     index = np.arange(done.steps, min(done.steps + _MOST, len(times)))
     stops = np.full(_MOST, times[-1])
@@ -100,6 +98,7 @@ def _advance(scene, done: _Done, times, method, save_every: int, pace: Pace) -> 
             jnp.asarray(slots),
             jnp.minimum(passes, jnp.asarray(len(index), jnp.int32)),
             method,
+            held,
         )
     )
     tried, code = int(out.steps), Result(int(out.code))
@@ -125,6 +124,7 @@ def _loop(
     slots: Int[Array, " most"],
     count: Int[Array, ""],
     method: GeneralizedAlpha,
+    held: Float[Array, " g"] | None,
 ) -> _Loop:
     """`count` steps to the first of `stops`, or until one fails, each state put into its slot."""
     most = stops.shape[0]
@@ -132,7 +132,7 @@ def _loop(
 
     def one(loop: _Loop) -> _Loop:
         i = loop.steps
-        new, info = step(scene, loop.state, stops[i], method)
+        new, info = step(scene, loop.state, stops[i], method, held)
         good = info.result == Result.SUCCESS
         slot = jnp.where(good, slots[i], most)
         put = lambda buffer, value: buffer.at[slot].set(value, mode="drop")

@@ -9,7 +9,8 @@ phi the law's potential counted from the cut-off. Solids that give way, as a pen
 largest F, and so has every law that is continued below its smallest distance. Nearer than where it
 is, the strands are held the less the deeper they are in each other: they pass, or have passed.
 
-This is looked at outside traced code, in the states of a run, and costs its steps nothing.
+Steps look at it in the pairs of segments that are near (`too_near`); starts, and equilibria outside
+traced code, are looked at whole, and told where (`deepest`).
 """
 
 from typing import NamedTuple
@@ -18,13 +19,16 @@ import jax
 import jax.core
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 from scipy.spatial import KDTree
 
+from rodjax import newton
+from rodjax.batching import only_where
 from rodjax.compilation import compiled
-from rodjax.contact import Contact, Sites, sites
+from rodjax.contact import Contact, Sites, interpolate, sites
 from rodjax.contact_energy import pair_energy
 from rodjax.contact_laws import PairProperties
+from rodjax.coupled import Nearby
 from rodjax.scene import Scene
 from rodjax.state import State
 
@@ -49,12 +53,58 @@ def crossing_force(contact: Contact, distance, pair: PairProperties):
 
 def least_held(contact: Contact, pair: PairProperties) -> Float[Array, "..."]:
     """Where `crossing_force` is largest [m]; zero for a law that does not repel."""
-    parts = jnp.linspace(0.0, 1.0, _TRIED).reshape(-1, *[1] * pair.diameter.ndim)
+    dtype = pair.diameter.dtype
+    parts = jnp.linspace(0.0, 1.0, _TRIED, dtype=dtype).reshape(-1, *[1] * pair.diameter.ndim)
     low = _LEAST * pair.diameter[None]
-    tried = low * (contact.cutoff / low) ** parts
+    tried = low * (contact.cutoff.astype(dtype) / low) ** parts
     force = crossing_force(contact, tried, jax.tree.map(lambda v: v[None], pair))
     place = jnp.take_along_axis(tried, jnp.argmax(force, 0)[None], 0)[0]
     return jnp.where(jnp.max(force, 0) > 0, place, 0.0)
+
+
+def distances_held(scene: Scene) -> Float[Array, " g"] | None:
+    """`least_held` of each segment of the contact [m], without derivative; None without contact.
+
+    It looks for a largest force in hundreds of distances: once a run, not once a step.
+    """
+    return None if scene.contact is None else _limits(newton.constant(scene)).held
+
+
+def too_near(
+    contact: Contact, nearby: Nearby, held: Float[Array, " g"], position: Float[Array, "nodes 3"]
+) -> Bool[Array, ""]:
+    """Whether strands, of the pairs found near, are nearer than the contact can hold them."""
+    contact, nearby, position = newton.constant((contact, nearby, position))
+    where, near = nearby
+
+    def some(position):
+        joints = interpolate(where, position)
+        places = _between(jnp, joints, near.first, near.second, where, contact)
+        valid = jnp.arange(near.first.shape[0], dtype=jnp.int32) < near.count
+        limit = 0.5 * (held[near.first] + held[near.second])
+        near_by = valid & (places.along >= contact.excluded) & (places.distance < limit)
+        return jnp.any(near_by)
+
+    return only_where(near.count > 0, some, lambda _: jnp.asarray(False), position)
+
+
+class _Between(NamedTuple):
+    """Where pairs of segments are nearest to each other."""
+
+    first: Array  # arc length [m]
+    second: Array
+    along: Array  # distance along the rod [m]
+    distance: Array  # of the centrelines [m]
+
+
+def _between(xp, joints, a, b, where: Sites, contact: Contact) -> _Between:
+    """Of the segments a and b, by numpy or jax.numpy."""
+    length = where.spacing * contact.points_per_segment
+    u, v, distance = _closest(xp, *(x for i in (a, b) for x in (joints[i], joints[i + 1])))
+    first, second = (a.astype(u.dtype) + u) * length, (b.astype(v.dtype) + v) * length
+    direct = xp.abs(second - first)
+    around = xp.inf if where.around is None else where.around
+    return _Between(first, second, xp.minimum(direct, around - direct), distance)
 
 
 class _Limits(NamedTuple):
@@ -74,62 +124,39 @@ def _limits(scene: Scene) -> _Limits:
     return _Limits(where, held, contact.excluded)
 
 
-def first_overlap(scene: Scene, positions) -> tuple[int, Overlap] | None:
-    """The first of some configurations (k, nodes, 3) with strands too near, and where; or None."""
+def deepest(scene: Scene, position) -> Overlap | None:
+    """Where strands of a configuration are too near, most of all; None if nowhere (not traced)."""
     contact = scene.contact
-    if contact is None:
+    if contact is None or not np.all(np.isfinite(np.asarray(position))):
         return None
-    limits = jax.tree.map(np.asarray, _limits(scene))
-    where = limits.where
-    for k, position in enumerate(np.asarray(positions)):
-        if not np.all(np.isfinite(position)):
-            continue
-        joints = np.einsum("jk,jkc->jc", where.weight, position[where.nodes])
-        found = _nearest(contact, limits, joints)
-        if found is not None:
-            return k, found
-    return None
-
-
-def _nearest(contact: Contact, limits: _Limits, joints) -> Overlap | None:
-    """The two segments deepest in each other, of those that are too near."""
-    held, where = limits.held, limits.where
-    chords = joints[1:] - joints[:-1]
-    reach = np.max(held) + np.sqrt(np.max(np.sum(chords**2, 1)))
+    where, held, excluded = jax.tree.map(np.asarray, _limits(scene))
+    joints = np.einsum("jk,jkc->jc", where.weight, np.asarray(position)[where.nodes])
     middles = 0.5 * (joints[1:] + joints[:-1])
-    pairs = KDTree(middles).query_pairs(reach, output_type="ndarray")
-    length = float(where.spacing) * contact.points_per_segment
-    around = np.inf if where.around is None else float(where.around)
-    apart = np.abs(pairs[:, 1] - pairs[:, 0])
-    apart = np.minimum(apart, around / length - apart)
-    pairs = pairs[(apart + 1) * length >= limits.excluded]
-    if not len(pairs):
-        return None
-    a, b = pairs.T
-    u, v, distance = _closest(joints[a], chords[a], joints[b], chords[b])
-    first, second = (a + u) * length, (b + v) * length
-    along = np.abs(second - first)
-    along = np.minimum(along, around - along)
+    reach = np.max(held) + np.sqrt(np.max(np.sum(np.diff(joints, axis=0) ** 2, 1)))
+    a, b = KDTree(middles).query_pairs(reach, output_type="ndarray").T
+    found = _between(np, joints, a, b, where, contact)
     limit = 0.5 * (held[a] + held[b])
-    near = (distance < limit) & (along >= limits.excluded)
+    near = (found.distance < limit) & (found.along >= excluded)
     if not np.any(near):
         return None
-    i = np.argmin(np.where(near, distance / np.where(limit > 0, limit, 1.0), np.inf))
+    i = np.argmin(np.where(near, found.distance / np.where(limit > 0, limit, 1.0), np.inf))
     diameter = np.mean(where.diameter[[a[i], b[i]]])
-    return Overlap(*map(float, (first[i], second[i], distance[i], limit[i], diameter)))
+    return Overlap(*map(float, (found.first[i], found.second[i], found.distance[i], limit[i],
+                                diameter)))  # fmt: skip
 
 
-def _closest(p, d, q, e):
-    """Where the segments p + u d and q + v e are nearest, 0 <= u, v <= 1, and their distance."""
-    dot = lambda x, y: np.sum(x * y, 1)
-    dd, de, ee, r = dot(d, d), dot(d, e), dot(e, e), p - q
+def _closest(xp, p, to_p, q, to_q):
+    """Where the segments from p and q are nearest, as parts of them, and their distance."""
+    d, e, r = to_p - p, to_q - q, p - q
+    dot = lambda x, y: xp.sum(x * y, 1)
+    dd, de, ee = dot(d, d), dot(d, e), dot(e, e)
     determinant = dd * ee - de**2
     skew = determinant > 1e-12 * dd * ee
-    u = np.where(skew, de * dot(e, r) - ee * dot(d, r), 0.0) / np.where(skew, determinant, 1.0)
-    v = (de * np.clip(u, 0, 1) + dot(e, r)) / ee
-    v = np.clip(v, 0, 1)
-    u = np.clip((de * v - dot(d, r)) / dd, 0, 1)
-    return u, v, np.sqrt(np.sum((r + u[:, None] * d - v[:, None] * e) ** 2, 1))
+    u = xp.where(skew, de * dot(e, r) - ee * dot(d, r), 0.0) / xp.where(skew, determinant, 1.0)
+    v = (de * xp.clip(u, 0.0, 1.0) + dot(e, r)) / ee
+    v = xp.clip(v, 0.0, 1.0)
+    u = xp.clip((de * v - dot(d, r)) / dd, 0.0, 1.0)
+    return u, v, xp.sqrt(xp.sum((r + u[:, None] * d - v[:, None] * e) ** 2, 1))
 
 
 def _known(scene: Scene, state: State) -> bool:
@@ -141,7 +168,7 @@ def overcome(scene: Scene, state: State) -> bool:
     """Whether strands are nearer than the contact can hold them; no in traced code."""
     if scene.contact is None or not _known(scene, state):
         return False
-    return first_overlap(scene, np.asarray(state.position)[None]) is not None
+    return deepest(scene, state.position) is not None
 
 
 def check_apart(scene: Scene, state: State) -> None:
@@ -149,10 +176,9 @@ def check_apart(scene: Scene, state: State) -> None:
     if scene.contact is None or not _known(scene, state):
         return
     scene.contact.check(scene.rod)
-    found = first_overlap(scene, np.asarray(state.position)[None])
-    if found is None:
+    where = deepest(scene, state.position)
+    if where is None:
         return
-    _, where = found
     raise ValueError(
         f"position: the strands at s = {where.first:.4g} and {where.second:.4g} are"
         f" {where.distance:.3g} apart ({where.distance / where.diameter:.2g} diameters), and the"

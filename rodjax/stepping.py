@@ -8,7 +8,7 @@ from jax import lax
 from jax.ad_checkpoint import checkpoint_name
 from jaxtyping import Array, Bool, Float, Int
 
-from rodjax import drives, newton, rotations, screening
+from rodjax import drives, newton, overlap, rotations, screening
 from rodjax.batching import only_where
 from rodjax.consistency import project
 from rodjax.coupled import find_nearby
@@ -79,6 +79,7 @@ def step(
     state: State,
     stop: Float[Array, ""],
     method: GeneralizedAlpha | None = None,
+    held: Float[Array, " g"] | None = None,
 ) -> tuple[State, StepInfo]:
     """Advance the motion from `state.time` to `stop`.
 
@@ -91,6 +92,9 @@ def step(
         scene, state: what moves, and from where.
         stop: end of the step [s].
         method: default `GeneralizedAlpha()`.
+        held: `overlap.distances_held(scene)`, for strands that come nearer to each other than
+            their contact can hold them to be reported (CONTACT_OVERCOME), as rollouts do; by
+            default that is not looked at.
 
     Returns:
         The new state, and what is to be told of the step.
@@ -99,7 +103,7 @@ def step(
     state = prepare(scene, state)
     stop = jnp.asarray(stop, state.time.dtype)
     if not scene.switch_times:
-        return advance_to(scene, state, stop, method)
+        return advance_to(scene, state, stop, method, held)
     state, loss, held = only_where(
         switching(scene, state),
         lambda s: begin_constraint(scene, s, project),
@@ -107,7 +111,7 @@ def step(
         state,
     )
     missed = jnp.any(jnp.stack([(state.time < t) & (t < stop) for t in scene.switch_times]))
-    state, info = advance_to(scene, state, stop, method)
+    state, info = advance_to(scene, state, stop, method, held)
     code = join(info.result, jnp.where(missed, Result.SWITCH_MISSED, Result.SUCCESS), held)
     return state, info._replace(projection_loss=loss, result=code)
 
@@ -142,7 +146,11 @@ def begin_constraint(
 
 
 def advance_to(
-    scene: Scene, state: State, stop: Float[Array, ""], method: GeneralizedAlpha
+    scene: Scene,
+    state: State,
+    stop: Float[Array, ""],
+    method: GeneralizedAlpha,
+    held: Float[Array, " g"] | None = None,
 ) -> tuple[State, StepInfo]:
     """`step` from a state that is consistent with its constraints."""
     settling = state.settling
@@ -196,6 +204,11 @@ def advance_to(
             jnp.where(passed, Result.STRAND_PASSAGE, Result.SUCCESS),
             jnp.where(equations.nearby.near.overflow, Result.CAPACITY_OVERFLOW, Result.SUCCESS),
         )
+        if held is not None:
+            deep = overlap.too_near(scene.contact, equations.nearby, held, new.position)
+            contact_code = join(
+                contact_code, jnp.where(deep, Result.CONTACT_OVERCOME, Result.SUCCESS)
+            )
     turned_far = (largest(increment[:, 3:]) > jnp.pi) | wound(new.quaternion)
     code = jnp.where(turned_far, Result.ROTATION_TOO_LARGE, Result.SUCCESS)
     code = join(solved.result, contact_code, code)

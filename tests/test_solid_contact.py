@@ -11,6 +11,7 @@ from test_contact_potential import meeting, report
 import rodjax as rx
 from rodjax import overlap
 from rodjax.contact_laws import PairProperties
+from rodjax.coupled import find_nearby
 from rodjax.load_path import placing
 
 D = 0.1  # of the strands of `meeting`
@@ -166,27 +167,36 @@ def test_strands_are_held_best_at_a_third_of_the_diameter():
     assert force == pytest.approx(4 * np.pi / 27 * 1e3 * D**3, rel=1e-3)
 
 
-def found_in(contact, *shapes):
+def deepest(contact, **shape):
+    """Where strands are too near, which what a step looks at must say as well."""
     rod, _ = meeting(end=0.0)
-    scene = rx.Scene(rod, rx.Clamped(), contact=contact)
-    return overlap.first_overlap(scene, jnp.stack([meeting(**shape)[1] for shape in shapes]))
+    scene, position = rx.Scene(rod, rx.Clamped(), contact=contact), meeting(**shape)[1]
+    found = overlap.deepest(scene, position)
+    assert bool(in_a_step(scene, position)) == (found is not None)
+    return found
+
+
+@jax.jit
+def in_a_step(scene, position):
+    held = overlap.distances_held(scene)
+    return overlap.too_near(scene.contact, find_nearby(scene, position), held, position)
 
 
 def test_overlap_is_found_where_it_is(solid):
     deep = {"end": -0.5, "beside": 0.2 * D}
-    assert found_in(solid, {"end": -0.5, "beside": 0.4 * D}) is None
-    index, where = found_in(solid, {"end": 0.06}, {"end": -0.5, "beside": 0.4 * D}, deep, deep)
-    assert index == 2
+    assert deepest(solid, end=-0.5, beside=0.4 * D) is None
+    assert deepest(solid, end=0.06) is None
+    where = deepest(solid, **deep)
     assert where.first == pytest.approx(0.5, abs=0.01)
     assert where.second == pytest.approx(3.0 - 0.5, abs=0.01)
     assert where.distance == pytest.approx(0.2 * D, rel=1e-6)
     assert where.held == pytest.approx(D / 3, rel=0.1)
     # a tip that went in, and one that went through
     for end in (0.02, -0.2):
-        assert found_in(solid, {"end": end}) is not None
+        assert deepest(solid, end=end) is not None
     for degrees in (60, 30):
-        shape = deep | {"angle": np.radians(degrees)}
-        assert found_in(solid, shape)[1].distance == pytest.approx(0.2 * D, rel=1e-3)
+        where = deepest(solid, **deep, angle=np.radians(degrees))
+        assert where.distance == pytest.approx(0.2 * D, rel=1e-3)
 
 
 def test_a_ring_is_no_overlap():
@@ -198,7 +208,7 @@ def test_a_ring_is_no_overlap():
     rod = rx.curved_rod(circle, 2 * np.pi * radius, 32, section)
     contact = rx.Contact.solid(rod, 1.0)
     ring = rx.Scene(rod, rx.Clamped(), rx.Clamped(), contact=contact)
-    assert overlap.first_overlap(ring, rod.position[None]) is None
+    assert overlap.deepest(ring, rod.position) is None
     loose = rx.Scene(rod, rx.Clamped(), rx.Free(), contact=contact)
     with pytest.raises(ValueError, match="^position: the strands at s = .* apart"):
         rx.start(loose)
@@ -249,9 +259,34 @@ def test_a_start_inside_each_other_is_refused(law, part):
         rx.rollout(scene, placing(scene), jnp.asarray([0.1]))
 
 
-@pytest.mark.parametrize("stiffness", [1e1, 1e5])
-def test_a_penalty_too_weak_is_said_to_be_overcome(stiffness):
-    scene = loop(0.02, lambda rod: rx.Contact(rx.Penalty(stiffness), 48, 0.03), drive=0.06)
-    times = jnp.linspace(0, 1.0, 81)[1:]
-    run = rx.rollout(scene, rx.start(scene), times, throw=False)
+@pytest.fixture(scope="module")
+def overcome():
+    """A scene whose strands are driven through each other, its start, and times."""
+    contact = rx.Contact(rx.Penalty(1e5), 32, 0.03, capacities=(33,))
+    scene = loop(0.02, lambda rod: contact, drive=0.06, elements=10)
+    return scene, rx.start(scene), jnp.linspace(0, 1.0, 81)[1:]
+
+
+def test_a_penalty_too_weak_is_said_to_be_overcome(overcome):
+    """In the step in which it is, outside traced code and in it."""
+    scene, state, times = overcome
+    run = rx.rollout(scene, state, times, save_every=10, throw=False)
     assert int(run.result) == rx.Result.CONTACT_OVERCOME
+    told = np.asarray(run.infos.result)
+    last = int(np.argmax(told != 0))
+    assert 10 < last < 70 and np.all(told[last:] == rx.Result.CONTACT_OVERCOME)
+    assert np.all(np.asarray(run.infos.iterations)[last + 1 :] == 0)
+    traced = jax.jit(lambda *given: rx.rollout(*given, save_every=10, throw=False))(*overcome)
+    np.testing.assert_array_equal(traced.infos.result, told)
+    assert int(traced.result) == rx.Result.CONTACT_OVERCOME
+
+
+@pytest.mark.slow
+def test_adaptive_steps_end_before_strands_overlap_too_far(overcome):
+    scene, state, _ = overcome
+    with pytest.raises(rx.SimulationError) as failure:
+        rx.adaptive_rollout(scene, state, 1.0)
+    assert failure.value.result is rx.Result.CONTACT_OVERCOME
+    kept = failure.value.partial.final
+    assert 0.2 < float(kept.time) < 0.9
+    assert overlap.deepest(scene, kept.position) is None
