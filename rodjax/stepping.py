@@ -104,7 +104,7 @@ def step(
     stop = jnp.asarray(stop, state.time.dtype)
     if not scene.switch_times:
         return advance_to(scene, state, stop, method, held)
-    state, loss, held = only_where(
+    state, loss, twice = only_where(
         switching(scene, state),
         lambda s: begin_constraint(scene, s, project),
         lambda s: (s, jnp.zeros_like(s.time), as_code(Result.SUCCESS)),
@@ -112,7 +112,7 @@ def step(
     )
     missed = jnp.any(jnp.stack([(state.time < t) & (t < stop) for t in scene.switch_times]))
     state, info = advance_to(scene, state, stop, method, held)
-    code = join(info.result, jnp.where(missed, Result.SWITCH_MISSED, Result.SUCCESS), held)
+    code = join(info.result, jnp.where(missed, Result.SWITCH_MISSED, Result.SUCCESS), twice)
     return state, info._replace(projection_loss=loss, result=code)
 
 
