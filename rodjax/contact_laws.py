@@ -66,17 +66,27 @@ class AbstractLaw(eqx.Module):
     def potential(self, distance, pair: PairProperties) -> Array:
         """phi(d) with psi(d, 0) = -dphi/dd, per length of either strand [J/m^2].
 
-        A constant in it is of no account. Here it is integrated from d to one diameter.
+        A constant in it is of no account. Here it is integrated from d, which must not be below
+        `smallest`, to one diameter or to `smallest` where that is more.
         """
-        start, end = jnp.log(distance), jnp.log(pair.diameter)
+        # by the logarithm of the distance from a place just below the smallest: a law that has a
+        # pole below it may be steep there
+        smallest = self.smallest(pair)
+        origin = smallest - _BELOW * pair.diameter
+        start = jnp.log(distance - origin)
+        end = jnp.log(jnp.maximum(pair.diameter, smallest) - origin)
         points, weights = (
             jnp.asarray(v, distance.dtype).reshape((1,) * distance.ndim + (-1,)) for v in _GAUSS
         )
-        x = jnp.exp(start[..., None] + points * (end - start)[..., None])
+        beyond = jnp.exp(start[..., None] + points * (end - start)[..., None])
+        x = origin[..., None] + beyond
         wide = jax.tree.map(lambda v: jnp.asarray(v)[..., None], pair)
         psi = self.repulsion(x, jnp.zeros_like(x), wide)
-        return (end - start) * jnp.sum(weights * x * psi, -1)
+        return (end - start) * jnp.sum(weights * beyond * psi, -1)
 
+
+_BELOW = 0.01
+"""In diameters; about the distance of a law's pole from its `smallest`."""
 
 _GAUSS = tuple(
     0.5 * v + o for v, o in zip(np.polynomial.legendre.leggauss(32), (0.5, 0.0), strict=True)

@@ -16,6 +16,7 @@ from rodjax import contact_laws, energy
 from rodjax.contact import sites
 from rodjax.contact_energy import contact_energy, has_potential, pair_energy
 from rodjax.contact_forces import report, window
+from rodjax.overlap import least_held
 from rodjax.screening import search
 from rodjax.stepping import no_info
 
@@ -48,15 +49,28 @@ def wound():
     return rx.straight_rod(0.96, 24, section), position
 
 
+class Pole(rx.AbstractLaw):
+    """A user's law that diverges outside the strands, at 1.2 diameters."""
+
+    def repulsion(self, distance, approach, pair):
+        return 2.0 / (distance - 1.2 * pair.diameter) ** 3
+
+    def smallest(self, pair):
+        return 1.21 * pair.diameter
+
+
 def contact_of(law, **options):
     options = {"segments": 24, "cutoff": 0.06, "points_per_segment": 3} | options
     return rx.Contact(law, **options)
 
 
-@pytest.mark.parametrize("name", [*LAWS, "user"])
+USERS = {"user": Wall(), "pole": Pole()}
+
+
+@pytest.mark.parametrize("name", [*LAWS, *USERS])
 def test_slope_of_a_pairs_energy_is_its_force(name):
     """At all distances, also where the law is continued or fades; a user's law is integrated."""
-    contact = contact_of(Wall() if name == "user" else LAWS[name], aperture=np.pi)
+    contact = contact_of((LAWS | USERS)[name], aperture=np.pi)
     d = jnp.linspace(0.05, 3.1, 150) * DIAMETER
     pair = contact_laws.PairProperties(jnp.full_like(d, DIAMETER), jnp.full_like(d, 0.5))
 
@@ -70,6 +84,19 @@ def test_slope_of_a_pairs_energy_is_its_force(name):
     assert np.max(np.abs(force)) > 0
     np.testing.assert_allclose(slope, force, rtol=1e-9, atol=1e-9 * np.median(np.abs(force)))
     assert float(pair_energy(contact, d, pair)[-1]) == 0
+
+
+def test_a_pole_outside_the_strands_is_not_integrated_across():
+    """The integral of 2/(x - 1.2 D)^3 is 1/(d - 1.2 D)^2."""
+    d = jnp.linspace(1.21, 3.0, 20) * DIAMETER
+    pair = contact_laws.PairProperties(jnp.full_like(d, DIAMETER), None)
+    phi = jax.jit(lambda d: Pole().potential(d, pair))(d)
+    exact = (d - 1.2 * DIAMETER) ** -2
+    np.testing.assert_allclose(phi - phi[-1], exact - exact[-1], rtol=1e-9)
+    one = jax.tree.map(lambda v: v[:1], pair)
+    held = float(least_held(contact_of(Pole()), one)[0])
+    # below its smallest distance s it goes on by a steep tangent: phi is about (s - d)^2 there
+    assert held == pytest.approx(1.21 * DIAMETER / 3, rel=0.01)
 
 
 def test_energy_of_a_law_that_fades():
