@@ -16,9 +16,13 @@ _JUMP = 0.05
 # Part of a step within which a change counts as a jump.
 _SUDDEN = 1e-2
 
-# Part of a step off whose ends a corner is inside. A load's jump from one knot to the next, however
-# near, must have both at ends of steps: else half of it acts for a whole step more.
+# Part of a step off whose ends a corner is inside, beyond the rounding of times. A load's jump from
+# one knot to the next, however near, must have both at ends of steps: else half of it acts for a
+# whole step more.
 _OFF = {"load": 1e-12, "drive": 1e-6}
+
+# Rounding of a time: its last digits, where a step's end was computed in another way.
+_ROUNDING = 4
 
 
 def corners_inside(scene: Scene, start: float, times: Float[np.ndarray, " k"]) -> dict[str, float]:
@@ -28,14 +32,18 @@ def corners_inside(scene: Scene, start: float, times: Float[np.ndarray, " k"]) -
     of first order there. (Not in traced code.)
     """
     ends = np.append(start, np.asarray(times, float))
+    eps = lambda v: np.finfo(v.dtype).eps if np.issubdtype(v.dtype, np.floating) else 0.0
     found = {}
     for name, schedule in scene.schedules:
         kind = "load" if name.startswith("loads") else "drive"
-        corners = np.sort(np.asarray(schedule.corners, float))
+        given = np.asarray(schedule.corners)
+        corners = np.sort(given.astype(float))
         step = np.clip(np.searchsorted(ends, corners) - 1, 0, len(ends) - 2)
         size = ends[step + 1] - ends[step]
         apart = np.minimum(corners - ends[step], ends[step + 1] - corners)
-        inside = (corners > start) & (corners < ends[-1]) & (apart > _OFF[kind] * size)
+        rounding = _ROUNDING * max(eps(given), eps(np.asarray(times))) * np.abs(corners)
+        off = np.maximum(_OFF[kind] * size, rounding)
+        inside = (corners > start) & (corners < ends[-1]) & (apart > off)
         if np.any(inside):
             chosen = corners[inside]
             jumps = _jumps(kind, schedule, chosen, _SUDDEN * size[inside], ends[[0, -1]])

@@ -20,10 +20,12 @@ from rodjax.linear_stability import stability
 from rodjax.results import MESSAGES, Result
 from rodjax.run import Run
 from rodjax.scene import Scene
+from rodjax.unstable_modes import neutral
 
 STEPS = 0.2  # local errors over motion, rms
 DAMPED = 0.05  # part of the energy that the time integration takes
 RESIDUAL = 0.05  # of the ledger, over the energy that was moved
+PUSH = 0.01  # contact over the rod's own forces, below which how finely it is summed matters little
 TAIL = 0.01  # a law at its cut-off over the law where strands came nearest
 AT_REST = 1e-3  # kinetic over strain energy below which a state is one of rest
 DENSE = 300  # elements up to which stability is looked at
@@ -66,9 +68,9 @@ def check(scene: Scene, run: Run, method: GeneralizedAlpha | None = None) -> Fin
 
     Looked at, as far as the scene has it: the result's code; turns of elements; ends against their
     schedules, and corners of schedules inside steps; local errors of the steps; numerical damping
-    of the motion's mean frequency; the energy ledger; the spacing of contact points and the tail of
-    the contact law beyond its cut-off; and whether the state at the end, where it is one of rest,
-    is stable. It compiles the measures that it needs.
+    of the motion's mean frequency; the energy ledger; the spacing of contact points where contact
+    pushes most and, of a law that only fades, its tail beyond the cut-off; and whether the state at
+    the end, where it is one of rest, is stable. It compiles the measures that it needs.
     """
     method = GeneralizedAlpha() if method is None else method
     good = bool(np.all(np.isfinite(np.asarray(run.states.position))))
@@ -135,10 +137,8 @@ def _time(scene: Scene, run: Run, method) -> dict[str, Finding | None]:
     if motion > (1e-4 * length) ** 2:
         ratio = float(np.sqrt(squares(infos.error_position) / motion))
     ledger = energy.ledger(scene, run)
-    columns = (ledger.work, ledger.strain, ledger.kinetic, ledger.residual)
-    work, strain, kinetic, residual = map(np.asarray, columns)
-    moved = max(np.max(np.abs(work)), np.ptp(strain), np.max(kinetic))
-    part = float(np.max(np.abs(residual)) / moved) if moved > 0 else 0.0
+    strain, kinetic, residual = map(np.asarray, (ledger.strain, ledger.kinetic, ledger.residual))
+    part = float(np.max(np.abs(residual)) / _moved(scene, ledger))
     topics = {
         "local errors of the steps": _above(
             "local errors of the steps", ratio, STEPS,
@@ -162,13 +162,29 @@ def _time(scene: Scene, run: Run, method) -> dict[str, Finding | None]:
     return topics
 
 
+def _moved(scene: Scene, ledger: energy.Ledger) -> float:
+    """The most energy that any part of a ledger gave, took or lost [J]; above rounding."""
+    stored = [ledger.strain, ledger.kinetic, ledger.gravity, ledger.contact_energy]
+    passed = [ledger.work, ledger.drag_loss, ledger.damping_loss, ledger.projection_loss]
+    passed += [ledger.contact_work]
+    elastic = np.mean(np.asarray(scene.rod.stiffness)[:, :2])
+    elastic = elastic / np.sum(np.asarray(scene.rod.length))
+    return max(
+        float(np.sqrt(np.finfo(elastic.dtype).eps) * elastic),
+        float(np.max(np.asarray(ledger.kinetic))),
+        *(float(np.ptp(np.asarray(v))) for v in stored if v is not None),
+        *(float(np.max(np.abs(np.asarray(v)))) for v in passed),
+    )
+
+
 def _contact(scene: Scene, run: Run) -> dict[str, Finding | None]:
     the_contact = scene.contact
     if the_contact is None:
         return {}
     found = measures.contacts(scene, run)
-    ratio = float(np.min(np.asarray(found.smallest)))
-    if not np.isfinite(ratio):
+    most = int(np.argmax(np.asarray(found.total)))
+    push, ratio = (float(np.asarray(v)[most]) for v in (found.total, found.smallest))
+    if push == 0 or not np.isfinite(ratio):
         return {}
     where = contact.sites(the_contact, scene.rod, scene.closed)
     diameter = np.max(np.asarray(where.diameter))
@@ -182,23 +198,29 @@ def _contact(scene: Scene, run: Run) -> dict[str, Finding | None]:
     width = force / slope if slope > 0 else np.inf
     allowed = min(settled / 3, np.sqrt(2 * settled * width) / 2)
     spacing = float(where.spacing)
+    inner = float(np.max(np.linalg.norm(np.asarray(run.states.force), axis=-1)))
+    bending = float(np.mean(np.asarray(scene.rod.stiffness)[:, :2]))
+    inner = max(inner, bending / float(np.sum(np.asarray(scene.rod.length))) ** 2)
+    topics = {}
+    if push > PUSH * inner:
+        topics["spacing of contact points"] = _above(
+            "spacing of contact points", spacing, allowed,
+            "The points are too far apart for the law where contact pushes most, so its force"
+            f" ripples; use {spacing / allowed:.2g} times the `segments` or `points_per_segment`.",
+        )  # fmt: skip
+    if the_contact.law.extent(pair) is not None:  # which the cut-off does not touch
+        return topics
     # before the window that fades the force out
     edge = the_contact.cutoff * (1 - the_contact.edge)
     tail = abs(float(law(jnp.asarray(edge)))) / force if force > 0 else 0.0
     if float(edge) <= settled:
         tail = 1.0
-    return {
-        "spacing of contact points": _above(
-            "spacing of contact points", spacing, allowed,
-            "The points are too far apart for the law where strands came nearest, so its force"
-            f" ripples; use {spacing / allowed:.2g} times the `segments` or `points_per_segment`.",
-        ),
-        "tail of the contact law": _above(
-            "tail of the contact law", tail, TAIL,
-            "Where the cut-off begins to fade it out, the law still has so much of the force at the"
-            " nearest strands; raise `cutoff`.",
-        ),
-    }  # fmt: skip
+    topics["tail of the contact law"] = _above(
+        "tail of the contact law", tail, TAIL,
+        "Where the cut-off begins to fade it out, the law still has so much of the force at the"
+        " nearest strands; raise `cutoff`.",
+    )  # fmt: skip
+    return topics
 
 
 def _stable(scene: Scene, run: Run) -> dict[str, Finding | None]:
@@ -215,7 +237,7 @@ def _stable(scene: Scene, run: Run) -> dict[str, Finding | None]:
         return {}
     return {
         "lowest eigenvalue at the end [N]": _above(
-            "lowest eigenvalue at the end [N]", -lowest, 0.0,
+            "lowest eigenvalue at the end [N]", -lowest, float(neutral(scene, final.force)),
             "The rod is at rest in a state that is unstable (the lowest eigenvalue is minus that):"
             " nothing has excited its modes. Give it an imperfection that does, a small load or a"
             " natural curvature that is not uniform.",

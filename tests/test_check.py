@@ -8,21 +8,23 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from helpers import UNIT_SECTION, hairpin
+from test_contact_potential import meeting
 
-from rodjax import contact_laws
+from rodjax import contact_laws, energy
 from rodjax.coarseness import largest_turns, warn_if_hopeless
 from rodjax.consistency import start
 from rodjax.contact import Contact
 from rodjax.corners import corners_inside, warn_of_corners
 from rodjax.ends import Clamped, Free, Slider, Turn
 from rodjax.fixed_rollout import rollout
-from rodjax.load_path import placing
+from rodjax.linear_stability import stability
+from rodjax.load_path import equilibrium, placing
 from rodjax.loads import Gravity, LinearDrag, PointLoad
 from rodjax.numerical_damping import amplification, estimate
 from rodjax.results import ModelWarning, Result, as_code
 from rodjax.rod import curved_rod, straight_rod
 from rodjax.run import Run
-from rodjax.run_check import Finding, Findings, _contact, _result, _stable, check
+from rodjax.run_check import Finding, Findings, _contact, _moved, _result, _stable, check
 from rodjax.scene import Scene
 from rodjax.schedules import Constant, PiecewiseLinear, Smooth
 from rodjax.stepping import no_info
@@ -105,6 +107,19 @@ def test_jumps_inside_steps_are_said_and_steps_that_end_there_not(name):
         warn_of_corners(scene, 0.0, mended)
     # before the run begins, and after it has ended, nothing jumps
     assert not corners_inside(scene, 0.5, tenths[5:]) and not corners_inside(scene, 0.0, tenths[:1])
+
+
+@pytest.mark.parametrize("precision", [np.float64, np.float32])
+def test_a_corner_at_the_end_of_a_step_is_there_whatever_its_last_digit(precision):
+    """At t = 100 with steps of 1 ms (of 10 ms in single precision) a digit is 1e-11 of a step."""
+    jump = PiecewiseLinear([0, 100.0, 100.0 + 1e-9, 900], np.outer([1, 1, 0, 0], UP))
+    scene = Scene(straight_rod(1.0, 4, UNIT_SECTION), loads=(PointLoad(-1, jump),))
+    step = 1e-3 if precision is np.float64 else 1e-2
+    ends = np.nextafter((100 + step * np.arange(-3, 4)).astype(precision), precision(1e9))
+    ends = np.union1d(ends, np.nextafter(precision(100.0 + 1e-9), precision(1e9)))
+    assert not corners_inside(scene, float(ends[0]), ends[1:])
+    late = ends + precision(1e-2 * step)
+    assert corners_inside(scene, float(late[0]), late[1:])
 
 
 def test_kinks_of_loads_and_smooth_drives_are_no_jumps():
@@ -196,6 +211,58 @@ def test_spacing_and_tail_of_a_contact_law():
     fine = found(0.36, 6)
     assert fine["spacing of contact points"] is None
     assert fine["tail of the contact law"] is None
+
+
+def test_contact_of_solids_has_no_tail_and_may_be_light():
+    """A law that ends by itself is not cut off; strands that just touch need no finer points."""
+    rod, _ = meeting(end=0.0)
+    force = 10 * float(jnp.mean(rod.stiffness[:, :2])) / 3.0**2
+    solid = Contact.solid(rod, force)
+    state = placing(Scene(rod, Clamped(), contact=solid))
+
+    def found(contact, depth):
+        """Of strands that cross at right angles; the force for a depth of 0.05 is `force`."""
+        position = meeting(end=-0.5, beside=(1 - depth) * 0.1)[1]
+        near = dataclasses.replace(state, position=position)
+        return _contact(Scene(rod, Clamped(), contact=contact), stored(state, near))
+
+    coarse = dataclasses.replace(solid, points_per_segment=solid.points_per_segment // 2)
+    topic = "spacing of contact points"
+    assert found(solid, 0.05) == {topic: None}
+    finding = found(coarse, 0.05)[topic]
+    assert finding is not None
+    assert finding.limit == pytest.approx(0.5 * 0.1 * np.sqrt(0.05 * 0.95), rel=0.02)
+    assert found(coarse, 1e-3) == {}
+
+
+def test_a_mode_that_costs_nothing_is_not_unstable():
+    """The plane of a buckled isotropic column between a clamp and a slider turns freely."""
+    rod = straight_rod(1.0, 10, dataclasses.replace(UNIT_SECTION, stiffness=(1.0, 1.0, 1.0)))
+    push = PointLoad(-1, Constant((0.0, 0.0, -45.0)))
+    scene = Scene(rod, Clamped(), Slider(UP), loads=(push,))
+    state, _ = equilibrium(scene, placing(scene), relax=True)
+    assert float(jnp.max(jnp.abs(state.position[:, :2]))) > 0.05
+    lowest = float(stability(scene, state).eigenvalues[0])
+    assert abs(lowest) < 1e-5
+    assert list(_stable(scene, stored(state, state)).values()) == [None]
+
+
+def settling(scale):
+    """A ledger of a cable that sinks slowly in drag, of its weight's work m g h = 1 J."""
+    parts = {name: np.zeros(3) for name in energy.Ledger._fields}
+    fall = scale * np.array([0.0, 0.5, 1.0])
+    parts |= {"gravity": -fall, "drag_loss": 0.999 * fall, "kinetic": 1e-6 * fall}
+    return energy.Ledger(**{name: jnp.asarray(value) for name, value in parts.items()})
+
+
+def test_the_energy_that_moved_is_that_of_all_parts():
+    """Of the weight and the drag as well, and never less than rounding of the rod's own."""
+    scene = Scene(straight_rod(1.0, 4, UNIT_SECTION))
+    sinking = settling(1.0)
+    assert _moved(scene, sinking) == pytest.approx(1.0)
+    assert float(jnp.max(jnp.abs(sinking.residual))) < 2e-3
+    resting = settling(1e-17)
+    assert _moved(scene, resting) == pytest.approx(1.15 * np.sqrt(np.finfo(float).eps))
 
 
 def test_a_run_that_resolves_all_has_no_findings():
