@@ -11,11 +11,11 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Bool, Float
 
-from rodjax.contact import Contact, along, interpolate, sites
+from rodjax.contact import Contact, Sites, along, interpolate, sites
 from rodjax.contact_forces import smooth_step
 from rodjax.contact_laws import PairProperties, continued_potential
 from rodjax.rod import Rod
-from rodjax.screening import BLOCK, search
+from rodjax.screening import BLOCK, Near, search
 
 # of Gauss, in (0, 1)
 _POINTS, _WEIGHTS = (
@@ -69,7 +69,13 @@ def contact_energy(
     """
     contact = contact.fitted(rod)
     where = sites(contact, rod, closed)
-    near = search(contact, where, position)
+    return stored(contact, where, search(contact, where, position), position)
+
+
+def stored(
+    contact: Contact, where: Sites, near: Near, position: Float[Array, "nodes 3"]
+) -> Float[Array, ""]:
+    """`contact_energy` for a list of pairs found before."""
     joints = interpolate(where, position)
     count = contact.points_per_segment
     part = (jnp.arange(count, dtype=position.dtype) + 0.5) / count

@@ -94,6 +94,14 @@ _GAUSS = tuple(
 """Points in (0, 1) and weights."""
 
 
+def ignores_approach(law: AbstractLaw, pair: PairProperties) -> bool:
+    """Whether psi is the same at any approach speed, whatever the law's numbers."""
+    like = jnp.ones_like(pair.diameter)
+    program = jax.make_jaxpr(lambda approach: law.repulsion(like, approach, pair))(like).jaxpr
+    read = [*program.outvars, *(v for equation in program.eqns for v in equation.invars)]
+    return not any(v is program.invars[0] for v in read)
+
+
 def continued(law: AbstractLaw, distance, approach, pair: PairProperties):
     """psi(d, c), continued linearly below the law's smallest distance.
 

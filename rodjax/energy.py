@@ -18,7 +18,9 @@ from jaxtyping import Array, Float
 from rodjax import contact_forces, inertia, rotations
 from rodjax.compilation import compiled
 from rodjax.contact_energy import contact_energy as energy_of_contact
-from rodjax.contact_energy import has_potential
+from rodjax.contact_energy import has_potential, stored
+from rodjax.contact_laws import PairProperties, ignores_approach
+from rodjax.coupled import Nearby, find_nearby
 from rodjax.loads import Gravity, LinearDrag, MorisonDrag, NodeMotion, total_wrench
 from rodjax.rod import Rod
 from rodjax.run import Run
@@ -231,9 +233,14 @@ class _Acting(NamedTuple):
     contact_damping: Float[Array, "nodes 6"] | None  # what of it is lost
 
 
-def _acting(scene: Scene, state: State) -> _Acting:
+def _nearby(scene: Scene, state: State) -> Nearby | None:
+    """The strands near each other, searched for once for forces and energies."""
+    return None if scene.contact is None else find_nearby(scene, state.position)
+
+
+def _acting(scene: Scene, state: State, nearby: Nearby | None) -> _Acting:
     motion = node_motion(state)
-    touching = None if scene.contact is None else contact_wrench(scene, state)
+    touching = None if nearby is None else _pushed(scene, state.position, state.velocity, nearby)
 
     def total(chosen):
         loads = tuple(load for load in scene.loads if chosen(load))
@@ -245,26 +252,34 @@ def _acting(scene: Scene, state: State) -> _Acting:
         total(lambda load: isinstance(load, MorisonDrag)),
         total(lambda load: isinstance(load, LinearDrag)),
         touching,
-        None if touching is None else _contact_damping(scene, state, touching),
+        None if nearby is None else _contact_damping(scene, state, touching, nearby),
     )
 
 
-def _contact_damping(scene: Scene, state: State, touching: Float[Array, "nodes 6"]):
-    """What contact exerts beyond its forces at rest; all of it where these have no potential."""
+def _pushed(scene: Scene, position, velocity, nearby: Nearby) -> Float[Array, "nodes 6"]:
+    """`contact_wrench` for a list of pairs found before."""
     assert scene.contact is not None
-    still = jnp.zeros_like(state.velocity)
-    force = contact_forces.report(
-        scene.contact, scene.rod, state.position, still, scene.closed
-    ).force
-    resting = jnp.concatenate([force, jnp.zeros_like(force)], 1)
-    return touching - jnp.where(has_potential(scene.contact), resting, 0.0)
+    force = contact_forces.forces(scene.contact, scene.rod, *nearby, position, velocity)
+    return jnp.concatenate([force, jnp.zeros_like(force)], 1)
 
 
-def _stored_in_contact(scene: Scene, state: State) -> Float[Array, ""]:
+def _contact_damping(scene: Scene, state: State, touching, nearby: Nearby):
+    """What contact exerts beyond its forces at rest; all of it where these have no potential."""
+    contact, where = scene.contact, nearby.where
+    assert contact is not None
+    resting = touching
+    if not ignores_approach(contact.law, PairProperties(where.diameter, where.mass)):
+        resting = _pushed(scene, state.position, jnp.zeros_like(state.velocity), nearby)
+    return touching - jnp.where(has_potential(contact), resting, 0.0)
+
+
+def _stored_in_contact(scene: Scene, state: State, nearby: Nearby | None) -> Float[Array, ""]:
     """`contact_energy`, zero where there is no potential."""
-    if scene.contact is None:
-        return contact_energy(scene, state)
-    return jnp.where(has_potential(scene.contact), contact_energy(scene, state), 0.0)
+    if nearby is None:
+        return jnp.zeros((), state.position.dtype)
+    assert scene.contact is not None
+    energy = stored(scene.contact, *nearby, state.position)
+    return jnp.where(has_potential(scene.contact), energy, 0.0)
 
 
 def _increment(before: State, after: State) -> Float[Array, "nodes 6"]:
@@ -306,20 +321,15 @@ def ledger(scene: Scene, run: Run) -> Ledger:
     """
     states = run.states
 
-    def energies(state):
-        parts = (
-            bending_energy,
-            torsion_energy,
-            axial_energy,
-            kinetic_energy,
-            gravity_energy,
-            _stored_in_contact,
-        )
-        return jnp.stack([part(scene, state) for part in parts])
+    def energies(state, nearby):
+        parts = bending_energy, torsion_energy, axial_energy, kinetic_energy, gravity_energy
+        values = [part(scene, state) for part in parts]
+        return jnp.stack([*values, _stored_in_contact(scene, state, nearby)])
 
     def interval(carry, after):
         before, old = carry
-        new = _acting(scene, after)
+        nearby = _nearby(scene, after)
+        new = _acting(scene, after, nearby)
         moved = _increment(before, after)
         zero = jnp.zeros((), moved.dtype)
 
@@ -338,15 +348,15 @@ def ledger(scene: Scene, run: Run) -> Ledger:
                 -work(old.contact_damping, new.contact_damping),
             ]
         )
-        return (after, new), (gains, energies(after))
+        return (after, new), (gains, energies(after, nearby))
 
     # the first interval is from the first state to itself, so what acted before does not matter
     first = run.state(0)
     nothing = jax.tree.map(
         lambda leaf: jnp.zeros(leaf.shape, leaf.dtype),
-        jax.eval_shape(lambda: _acting(scene, first)),
+        jax.eval_shape(lambda: _acting(scene, first, _nearby(scene, first))),
     )
-    _, (gains, stored) = lax.scan(interval, (first, nothing), states)
+    _, (gains, energy) = lax.scan(interval, (first, nothing), states)
     intervals = gains.shape[0] - 1
     steps = run.infos.projection_loss
     lost = steps.reshape(intervals, steps.shape[0] // max(intervals, 1)).sum(1)
@@ -354,7 +364,7 @@ def ledger(scene: Scene, run: Run) -> Ledger:
     total = jnp.cumsum(jnp.concatenate([gains, lost[:, None]], 1), 0)
     total = total - total[:1]
     drive_work, load_work, contact_work, drag, damping, contact_loss, projection = total.T
-    bending, torsion, axial, kinetic, gravity, contact = stored.T
+    bending, torsion, axial, kinetic, gravity, contact = energy.T
     return Ledger(
         states.time,
         drive_work,

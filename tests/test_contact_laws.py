@@ -58,6 +58,12 @@ def test_penalty_is_a_spring_and_a_dashpot():
     assert value(jnp.asarray(1.1 * DIAMETER), jnp.asarray(-c)) == 0
 
 
+def test_laws_that_damp_are_told_from_those_that_do_not():
+    damped = {name for name, law in LAWS.items() if not laws.ignores_approach(law, PAIR)}
+    # a Penalty reads the approach, though its relaxation may be zero
+    assert damped == {"damped", "penalty", "damped_penalty"}
+
+
 def test_penalty_dissipates_over_a_cycle():
     """Work of the strands against the law as they approach and part: none without relaxation."""
     phase = np.linspace(0, 2 * np.pi, 20001)

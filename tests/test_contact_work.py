@@ -7,7 +7,16 @@ import pytest
 from helpers import UNIT_SECTION
 from made_runs import reactions, run_of, run_over, start, state_of
 
-from rodjax import contact, contact_laws, energy, rod
+from rodjax import (
+    contact,
+    contact_energy,
+    contact_forces,
+    contact_laws,
+    coupled,
+    energy,
+    rod,
+    screening,
+)
 from rodjax.ends import Clamped
 from rodjax.loads import LinearDrag
 from rodjax.scene import Scene
@@ -72,6 +81,18 @@ def test_work_done_on_contact(hairpin):
     book = energy.ledger(hairpin, run_of(path))
     assert np.all(work > 0)
     np.testing.assert_allclose(np.diff(book.contact_work), work, rtol=1e-10)
+
+
+def test_the_ledger_searches_for_contact_once_a_state(hairpin, monkeypatch):
+    """Forces, forces at rest and energies share what was found."""
+    searches = []
+    counted = lambda *given: searches.append(None) or screening.search(*given)
+    monkeypatch.setattr(coupled, "search", counted)
+    for module in (contact_forces, contact_energy):
+        monkeypatch.delattr(module, "search")
+    run = run_of([state_of(hairpin.rod)] * 5)
+    eqx.filter_eval_shape(energy.ledger, hairpin, run)
+    assert len(searches) == 2  # for the shapes, and in the loop over the states
 
 
 @pytest.mark.slow
