@@ -33,6 +33,9 @@ SOLUTION = "newton_solution"
 # Contraction above which a held derivative is taken anew.
 _HELD = 0.2
 
+# How many increments may fail to shrink before a step is given up, to be tried again by a shorter.
+_PATIENCE = 4
+
 
 class NewtonInfo(NamedTuple):
     """How the iteration went."""
@@ -51,18 +54,20 @@ class _Loop(NamedTuple):
     finite: Bool[Array, ""]
 
 
-def iterate(equations, x, tolerance, max_iterations) -> tuple[Any, NewtonInfo]:
+def iterate(
+    equations, x, tolerance, max_iterations, patience: int = _PATIENCE
+) -> tuple[Any, NewtonInfo]:
     """Newton's iteration. Stops on the error PREDICTED after an update from two successive ones.
 
     With sizes s_{k-1}, s_k of the last two increments and q = s_k/s_{k-1} the error left is about
-    s_k q/(1 - q) or less (it is quadratic in s_k near a solution). Gives up early when four
-    increments in all have failed to shrink.
+    s_k q/(1 - q) or less (it is quadratic in s_k near a solution). Gives up early when so many
+    increments in all as `patience` says have failed to shrink.
     """
 
     def body(loop: _Loop) -> _Loop:
         return _updated(equations, loop, equations.newton_increment(loop.x), tolerance)
 
-    going = lambda loop: _unfinished(loop, max_iterations)
+    going = lambda loop: _unfinished(loop, max_iterations, patience)
     return _outcome(lax.while_loop(going, body, _beginning(x)))
 
 
@@ -118,8 +123,9 @@ def _updated(equations, loop: _Loop, dx, tolerance, growth=1.0) -> _Loop:
     )
 
 
-def _unfinished(loop: _Loop, max_iterations):
-    return ~loop.converged & loop.finite & (loop.iterations < max_iterations) & (loop.slow < 4)
+def _unfinished(loop: _Loop, max_iterations, patience: int = _PATIENCE):
+    going = ~loop.converged & loop.finite & (loop.iterations < max_iterations)
+    return going & (loop.slow < patience)
 
 
 def _outcome(end: _Loop) -> tuple[Any, NewtonInfo]:

@@ -58,6 +58,11 @@ _DESCENT, _DISTURBANCES, _DISTURBANCE = 400, 3, 1e-2
 # How often the last step is repeated at most for a spin that no end holds.
 _REPEATS = 100
 
+# Increments that may fail to shrink in an attempt. Strands that touch slide along each other, and
+# by turns make up for what that costs in length: Newton's method needs few iterations, but not ever
+# smaller ones, and a shorter step of the path would not change that.
+_PATIENCE = 12
+
 # Number of unstable modes before any was counted.
 _UNKNOWN = 2**30
 
@@ -161,7 +166,7 @@ def follow(
         trial = equations(target, reference, sigma, path.repeats.astype(path.x.dtype))
         # the first time round only the start's modes are counted
         most = jnp.where(opening, 0, max_iterations)
-        x, solved = newton.iterate(trial, trial.guess(force), tolerance, most)
+        x, solved = newton.iterate(trial, trial.guess(force), tolerance, most, _PATIENCE)
         code = lambda bad, which: jnp.where(bad, which, Result.SUCCESS)
         result = results.join(
             solved.result,

@@ -7,6 +7,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pytest
 from jax import lax
 
 from rodjax import contact_laws as laws
@@ -34,6 +35,11 @@ UNIT_SECTION = Section(
 PRECISE = GeneralizedAlpha(0.8, tolerance=1e-12)
 UP = (0.0, 0.0, 1.0)
 ARC = lambda s: np.array([1 - np.cos(s), 0.0, np.sin(s)])
+
+
+def slow(value):
+    """One of a test's parameters, for the slow run."""
+    return pytest.param(value, marks=pytest.mark.slow)
 
 
 def time(value) -> jax.Array:

@@ -138,6 +138,7 @@ def test_amplification_has_the_limits_of_theory(radius):
     assert np.all(np.diff(damped) > 0)
 
 
+@pytest.mark.slow
 def test_numerical_damping_of_a_vibration_is_that_of_its_steps():
     """A cantilever that swings in its first mode: frequency 3.51602 sqrt(A/m)/L^2."""
     rod = straight_rod(1.0, 12, dataclasses.replace(UNIT_SECTION, rotary_inertia=(1e-6,) * 3))
@@ -179,6 +180,7 @@ def column(thrust):
     return scene, stored(state, state)
 
 
+@pytest.mark.slow
 def test_a_straight_column_beyond_eulers_load_is_unstable():
     """By 45 less A 4 pi^2 = 39.5, to second order; below that nothing is found."""
     (low, high) = (_stable(*column(thrust)) for thrust in (38.0, 45.0))

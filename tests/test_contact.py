@@ -25,6 +25,7 @@ from rodjax.stepping import no_info, step
 # Forces
 
 
+@pytest.mark.slow
 def test_straight_rod_has_no_contact_and_its_step_is_that_without():
     section = circular_section(DIAMETER, 1e6, 5e5, 1500.0)
     rod = straight_rod(1.0, 10, section, natural_curvature=(0.3, 0.0, 0.0))

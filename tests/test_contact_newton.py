@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from helpers import LAWS
+from helpers import LAWS, slow
 
 from rodjax import newton
 from rodjax.contact import Contact
@@ -17,7 +17,7 @@ from rodjax.step_equations import StepEquations
 from rodjax.stepping import step
 
 # grids finer and coarser than the contact's 20 segments
-finer_and_coarser = pytest.mark.parametrize("bent", [24, 14], indirect=True)
+finer_and_coarser = pytest.mark.parametrize("bent", [slow(24), 14], indirect=True)
 
 
 @finer_and_coarser
@@ -40,6 +40,7 @@ def test_newton_system_is_the_exact_derivative(bent):
     )
 
 
+@pytest.mark.slow
 @finer_and_coarser
 def test_batches_of_right_sides_and_of_systems(bent):
     """Lanes in contact and out of it, by the solver of their own."""
@@ -98,6 +99,7 @@ def test_a_held_derivative_leads_to_the_same_motion(bent):
     assert int(each.iterations) <= int(once.iterations) <= 2 * int(each.iterations)
 
 
+@pytest.mark.slow
 @finer_and_coarser
 def test_every_size_of_solver_gives_the_same_increment(bent):
     scene, state, near = bent
@@ -122,6 +124,7 @@ def test_capacity_overflow_is_reported(bent):
     assert int(info.result) == Result.CAPACITY_OVERFLOW
 
 
+@pytest.mark.slow
 def test_gradient_through_a_step_in_contact(bent):
     scene, state, _ = bent
 

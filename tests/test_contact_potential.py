@@ -314,6 +314,7 @@ def pressed(law, aperture=np.pi):
     return energy.ledger(scene, rx.Run(states, infos, zero, zero, zero))
 
 
+@pytest.mark.slow
 def test_ledger_tells_what_contact_stored_from_what_it_lost():
     """A spring gives back, a dashpot does not; with an aperture there is nothing to store."""
     spring = pressed(rx.Penalty(1e6))

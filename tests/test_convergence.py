@@ -9,7 +9,7 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from helpers import driven_scene, final_state, order_of
+from helpers import driven_scene, final_state, order_of, slow
 
 from rodjax.consistency import start
 from rodjax.ends import Clamped, Free, Slider, Turn
@@ -83,9 +83,7 @@ MANY = 5 * COUNTS
     "kind",
     [
         "paper",
-        "no inertia",
-        pytest.param("extensible", marks=pytest.mark.slow),
-        pytest.param("no rotary inertia", marks=pytest.mark.slow),
+        *map(slow, ("no inertia", "extensible", "no rotary inertia")),
     ],
 )
 def test_order_in_time(kind):
@@ -119,7 +117,7 @@ def driven_off():
     return driven_scene(6, Section(STIFFNESS, mass=1.0, rotary_inertia=ROTARY, diameter=0.1))
 
 
-@pytest.mark.parametrize("make", [released, pulled_away, driven_off])
+@pytest.mark.parametrize("make", [released, *map(slow, (pulled_away, driven_off))])
 def test_every_step_from_the_first_on_is_second_order(make):
     """The largest error of all steps: a force that starts at first order shows in the first."""
     scene = make()

@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from helpers import UNIT_SECTION
+from helpers import UNIT_SECTION, slow
 
 from rodjax import energy, measures
 from rodjax.adaptive import adaptive_rollout
@@ -62,7 +62,7 @@ FAST = {
 }
 
 
-@pytest.mark.parametrize("name", FAST)
+@pytest.mark.parametrize("name", ["after a switch", *map(slow, list(FAST)[:-1])])
 def test_no_drive_is_exempt(name):
     found = run(FAST[name], 4)
     assert int(found.result) == Result.DRIVE_TOO_FAST
@@ -85,6 +85,7 @@ def test_the_code_comes_out_of_traced_code():
         rollout(shaft(8.0), start(shaft(8.0)), times)
 
 
+@pytest.mark.slow
 def test_adaptive_steps_are_cut_to_what_the_drive_allows():
     scene = shaft(8.0)
     long = StepControl(first_step=0.5, max_step=0.5, relative=10.0, twisting=100.0)
@@ -137,6 +138,7 @@ def test_an_end_that_is_not_where_its_schedule_puts_it():
         rollout(drives["rotation"], start(drives["rotation"]), run_times, GeneralizedAlpha())
 
 
+@pytest.mark.slow
 def test_ends_are_followed_across_switches_and_saves():
     """Driven while held, then let go: what it does afterwards does not count as astray."""
     last = Switched(Slider(UP), Free(), 0.25, rotation=turned(0.5))

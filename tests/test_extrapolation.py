@@ -29,6 +29,7 @@ def test_polynomials_lose_their_leading_error():
     assert found["b"][0] == pytest.approx(7, rel=1e-14)
 
 
+@pytest.mark.slow
 def test_statics_become_fourth_order_in_space():
     """The elastica of Mattiasson (1981) at P L^2/A = 5: deflection .713792, shortening .387628."""
     sizes, tips = [8, 16, 32, 64], []
@@ -46,6 +47,7 @@ def test_statics_become_fourth_order_in_space():
     assert abs(better[0][2] - 0.713792) < 0.2 * abs(tips[2][2] - 0.713792)
 
 
+@pytest.mark.slow
 def test_steps_become_third_order_in_time():
     scene = driven_scene(6)
     turn = Turn((0.0, 0.0, 1.0), Function(lambda t: 2 * jnp.sin(1.5 * t) ** 8))

@@ -219,6 +219,7 @@ def relaxing_rod(p):
     return positions_at(run, OBSERVED)
 
 
+@pytest.mark.slow
 def test_the_motion_of_an_overdamped_rod_determines_stiffness_over_drag():
     """And nothing else. A fit of no steps to zeros tells what the rod does."""
     truth, zeros = {"bending": 0.8, "drag": 1.2}, Observations(OBSERVED, jnp.zeros((3, 5, 3)))

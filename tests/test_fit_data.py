@@ -164,6 +164,7 @@ def test_bad_observations(arguments, message):
 # Fixed parameters
 
 
+@pytest.mark.slow
 def test_fixed_parameters_are_no_unknowns():
     """As if they were constants of the model; another value needs no compilation."""
     data = Observations(TIMES, measured(0), 0.5)

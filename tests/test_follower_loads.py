@@ -209,6 +209,7 @@ def test_overdamped_rods_are_judged_by_their_drag():
         assert found.stable
 
 
+@pytest.mark.slow
 def test_derivatives_below_and_above_flutter():
     def measured(thrust):
         found = vibration(*cantilever(thrust=thrust, stiffness=(1.0, 2.0, 0.8), n=10), 1)

@@ -38,6 +38,7 @@ def momenta(scene, state):
     return np.asarray(jnp.sum(linear, 0)), np.asarray(jnp.sum(angular, 0)), np.asarray(centre)
 
 
+@pytest.mark.slow
 def test_free_flight_conserves_momentum(tumbling):
     scene, state = tumbling
     linear, angular, centre = momenta(scene, state)

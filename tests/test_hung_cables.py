@@ -93,6 +93,7 @@ def test_a_torque_that_nothing_balances_fails():
     assert info.result != Result.SUCCESS
 
 
+@pytest.mark.slow
 def test_a_cable_in_a_current_streams_at_its_critical_angle():
     """Straight, at a from the vertical: w sin(a) = rho C_n D U^2 cos(a)^2 / 2 across it."""
     diameter, speed, water, steel, across = 0.02, 1.2, 1000.0, 2500.0, 1.1

@@ -81,6 +81,7 @@ def slow_twist():
     return scene, run_over(scene, state_of(a_rod), 4.0, 200)
 
 
+@pytest.mark.slow
 def test_work_of_a_slow_twist_is_the_torsional_energy(slow_twist):
     """W = C (2 pi turns)^2 / 2 L + losses, kinetic energy gone; the torque is C 2 pi turns / L."""
     scene, run = slow_twist
@@ -128,6 +129,7 @@ def test_gravity_pendulum_with_a_point_load():
     assert 3.2 < errors[0] / errors[1] < 4.8
 
 
+@pytest.mark.slow
 def test_projection_loss_is_booked_once():
     """A flying rod whose end is caught loses energy there; the ledger says how much.
 

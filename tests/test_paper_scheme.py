@@ -90,6 +90,7 @@ def assert_second_order(found):
     assert found == {name: pytest.approx(2.0, abs=0.1) for name in found}, found
 
 
+@pytest.mark.slow
 def test_order_in_time():
     scene, counts = driven(6), 40 * 2 ** np.arange(4)
     for rho in (0.5, 0.9):
@@ -141,6 +142,7 @@ def thin(elements, diameter=2e-3):
     return Scene(rod, Clamped(shift, turn), Slider((0.0, 1.0, 0.0)), (drag,))
 
 
+@pytest.mark.slow
 def test_shooting_equals_the_block_solve_and_breaks_down_as_dt_is_refined():
     scene = thin(60)
     moving = after(scene, 0.5, 20, PaperScheme())
@@ -155,6 +157,7 @@ def test_shooting_equals_the_block_solve_and_breaks_down_as_dt_is_refined():
     assert gaps[3e-3] in (Result.NEWTON_FAILED, Result.NON_FINITE)
 
 
+@pytest.mark.slow
 def test_example_is_twisted_as_by_the_default_scheme():
     """Straight and twisted, then bending; the left end slides and is held from 16 s on."""
     preset = dataclasses.replace(

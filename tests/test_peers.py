@@ -76,6 +76,7 @@ def test_held_ends_lie_in_the_middle_of_their_elements(slides):
     assert np.ptp(np.diff(nodes)) < 0.15 / 30
 
 
+@pytest.mark.slow
 def test_pyelastica_swings_the_same_cantilever(swung):
     """Undamped, to the difference of the two grids; a shear factor or mass amiss shows."""
     pytest.importorskip("elastica")

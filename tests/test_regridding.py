@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from helpers import order_of
+from helpers import order_of, slow
 
 from rodjax import rotations
 from rodjax.consistency import start
@@ -67,7 +67,7 @@ def test_the_same_grid_changes_nothing_but_rounding():
         np.testing.assert_allclose(getattr(new, name), getattr(state, name), atol=1e-12)
 
 
-@pytest.mark.parametrize("finer", [False, True])
+@pytest.mark.parametrize("finer", [slow(False), True])
 def test_errors_are_of_second_order(finer):
     """Against the rod built on the new grid itself: places, frames, strains and rates."""
     sizes, errors = [10, 20, 40], []
@@ -90,6 +90,7 @@ def test_errors_are_of_second_order(finer):
     assert np.all(np.array(errors[-1]) < 5e-2)
 
 
+@pytest.mark.slow
 def test_whole_turns_are_kept():
     """A rod twisted by 12.3 turns, on finer and coarser grids."""
     rod = straight_rod(2.0, 40, SECTION)
@@ -113,6 +114,7 @@ def test_whole_turns_are_kept():
         regrid(state, straight_rod(2.0, 10, SECTION))
 
 
+@pytest.mark.slow
 def test_a_compliant_rod_keeps_its_stretch():
     """Stretched by 3 % here and sheared there, to second order."""
     sizes, errors = [10, 20, 40], []
@@ -135,6 +137,7 @@ def test_a_compliant_rod_keeps_its_stretch():
     assert errors[-1] < 1e-4 and order_of(1 / np.array(sizes), errors) > 1.8
 
 
+@pytest.mark.slow
 def test_a_start_from_it_in_another_scene():
     """Accepted as unstretched, at its time; the velocities hardly change."""
     state, rod = state_of(rod_of(16)), rod_of(24)

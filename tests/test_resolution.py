@@ -53,6 +53,7 @@ def test_waves_without_damping_that_no_step_resolves_are_reported():
     assert int(run(cantilever(), 0.1, spectral_radius=0.99).result) == Result.UNRESOLVED
 
 
+@pytest.mark.slow
 def test_velocities_that_drown_in_rounding_are_reported():
     with jax.enable_x64(False):
         scene = cantilever()

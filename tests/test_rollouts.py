@@ -39,6 +39,7 @@ def kinetic(scene, state):
     return 0.5 * float(linear + jnp.sum(rotary * state.angular_velocity**2))
 
 
+@pytest.mark.slow
 def test_slider_is_held_from_its_time_on(held):
     scene, run = held
     assert int(run.result) == Result.SUCCESS
@@ -155,6 +156,7 @@ def test_adaptive_run_that_fails_keeps_what_there_is(breaking):
     assert int(short.result) == Result.MAX_STEPS and len(short.times) == 5
 
 
+@pytest.mark.slow
 def test_twist_is_resolved_as_its_tolerance_asks():
     """A straight rod that only twists: no other tolerance holds its steps."""
     turn = Turn(UP, Smooth([0.0, 1.0, 9.0], [0.0, 1.0, 1.0]))

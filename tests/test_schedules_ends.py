@@ -68,6 +68,13 @@ def test_piecewise_linear_rate_is_the_integral(gaps, fraction):
     assert float(schedule.until) == times[-1]
 
 
+@jax.jit
+def slopes(schedule, times):
+    """First and second derivatives at all times."""
+    rate = jax.grad(schedule)
+    return jax.vmap(rate)(times), jax.vmap(jax.grad(rate))(times)
+
+
 @few
 @given(knots, st.floats(0.0, 1.0))
 def test_smooth_is_a_quintic_step(gaps, fraction):
@@ -79,10 +86,11 @@ def test_smooth_is_a_quintic_step(gaps, fraction):
     blend = x**3 * (10 - 15 * x + 6 * x**2)
     expected = values[i] + blend * (values[i + 1] - values[i])
     assert float(schedule(at(time))) == pytest.approx(expected, abs=1e-12)
-    for knot in times:  # C2: rate and acceleration vanish at every knot, from both sides
-        for near in (knot, knot - 1e-9, knot + 1e-9):
-            assert abs(float(jax.grad(schedule)(at(near)))) < 1e-10
-            assert abs(float(jax.grad(jax.grad(schedule))(at(near)))) < 1e-3
+    # C2: rate and acceleration vanish at every knot, from both sides
+    near = (jnp.asarray(times)[:, None] + jnp.asarray([[0.0, -1e-9, 1e-9]])).ravel()
+    rate, acceleration = slopes(schedule, near)
+    np.testing.assert_allclose(rate, 0.0, atol=1e-10)
+    np.testing.assert_allclose(acceleration, 0.0, atol=1e-3)
     assert float(schedule(at(times[-1] + 1.0))) == pytest.approx(values[-1], abs=1e-13)
     assert float(schedule.until) == times[-1]
 

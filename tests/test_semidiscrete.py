@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from helpers import final_state, order_of
+from helpers import final_state, order_of, slow
 
 from rodjax import semidiscrete
 from rodjax.consistency import start
@@ -63,7 +63,7 @@ def driven():
     return Scene(rod, Clamped(shift, turn), Slider((0.0, 0.3, 1.0)), loads)
 
 
-@pytest.mark.parametrize("make", [cantilever, driven])
+@pytest.mark.parametrize("make", [cantilever, slow(driven)])
 def test_steps_converge_to_the_differential_equation(make):
     scene = make()
     state, stop = start(scene), 0.3
@@ -83,6 +83,7 @@ def test_steps_converge_to_the_differential_equation(make):
     assert moved > 0.01 and found["position"][-1] < 1e-4 * moved
 
 
+@pytest.mark.slow
 def test_a_twisted_shaft_swings_at_the_frequency_of_its_grid():
     """theta_i = sin(pi i / 2n) cos(omega t), omega = (2/ds) sqrt(C/I3) sin(pi/4n), at any size."""
     n = 8
@@ -102,6 +103,7 @@ def test_a_twisted_shaft_swings_at_the_frequency_of_its_grid():
     )
 
 
+@pytest.mark.slow
 def test_a_stiff_solver_finds_the_same():
     scene = cantilever()
     y0 = semidiscrete.initial_value(scene)

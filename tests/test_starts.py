@@ -128,6 +128,7 @@ def held_later(after):
     return Scene(rod, Clamped(), Switched(Slider((0, 0, 1)), after, 0.01), DRAG)
 
 
+@pytest.mark.slow
 def test_a_hold_that_begins_later_on_a_straight_rod():
     scene = held_later(Clamped())
     run = rollout(scene, start(scene), jnp.asarray([0.005, 0.01, 0.015]), throw=False)

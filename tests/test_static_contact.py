@@ -69,6 +69,7 @@ def test_either_end_may_be_held(found):
     np.testing.assert_allclose(gap(other), gap(state), rtol=2e-3)
 
 
+@pytest.mark.slow
 def test_derivative_by_the_strength(found):
     scene, state, _, _ = found
 
