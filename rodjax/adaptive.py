@@ -34,7 +34,7 @@ from rodjax.step_control import (
     tolerances_of,
 )
 from rodjax.stepping import StepInfo, advance_to, begin_constraint, no_info, prepare, switching
-from rodjax.validation import check_instance
+from rodjax.validation import all_known, as_integer, check_instance, check_integer
 
 
 class _Chunk(NamedTuple):
@@ -180,18 +180,23 @@ def adaptive_rollout(
         throw: raise `SimulationError` if the run fails; else its code is in `Run.result`.
 
     Raises:
-        ValueError: a schedule of the scene ends before `end_time`, or a tolerance is out of
-            reach of the precision.
+        ValueError: a schedule of the scene ends before `end_time`, a tolerance is out of reach of
+            the precision, or something is traced.
         SimulationError: the run failed; its `.partial` is the run up to the failure.
         Interrupted: Ctrl-C; its `.partial` is the run up to then, to be resumed as any other.
     """
     check_motion(scene, state)
     check_end_time(end_time)
     assert end_time is not None
+    if not all_known(scene, state, end_time, method, control, resume):
+        raise ValueError(
+            "scene, state: adaptive_rollout cannot be traced; replay its times by"
+            " rollout(scene, state, run.times[1:]) inside jit, grad or vmap"
+        )
     span = float(end_time) - float(state.time)
-    for name, count in (("chunk", chunk), ("max_steps", max_steps)):
-        if count < 1:
-            raise ValueError(f"{name}: must be at least 1, got {count}")
+    chunk, max_steps = as_integer(chunk), as_integer(max_steps)
+    check_integer(1, chunk=chunk)
+    check_integer(1, 2**31 - 1, max_steps=max_steps)
     if not span > 0:
         raise ValueError(f"end_time: must lie after the state's time {float(state.time):g}")
     scene.check_until(float(end_time))
@@ -252,6 +257,8 @@ def compile_adaptive_rollout(
 
     Without a state `start(scene)` is compiled too, at the same time in a thread of its own.
     """
+    chunk = as_integer(chunk)
+    check_integer(1, chunk=chunk)
     if state is None:
         with ThreadPoolExecutor(1) as other:
             starting = other.submit(start, scene)

@@ -21,6 +21,7 @@ from rodjax.balance import Scales
 from rodjax.block_tridiagonal import BlockTridiagonal
 from rodjax.compilation import compiled
 from rodjax.failure import not_a_number
+from rodjax.framing import of_one_sign
 from rodjax.loads import NodeMotion, total_wrench
 from rodjax.overlap import check_apart
 from rodjax.scene import Scene, projectors
@@ -81,10 +82,7 @@ def start(
         start_checks.check_size(name, array)
         arrays[name] = array
     if quaternion is not None:
-        # q and -q are one frame, but neighbours of opposite sign would count as a turn apart
-        turned = jnp.sum(arrays["quaternion"][1:] * arrays["quaternion"][:-1], 1) < 0
-        sign = jnp.cumprod(jnp.where(turned, -1.0, 1.0)).astype(dtype)
-        arrays["quaternion"] = arrays["quaternion"].at[1:].multiply(sign[:, None])
+        arrays["quaternion"] = jnp.asarray(of_one_sign(arrays["quaternion"]))
     start_checks.check_single_precision(scene)
     state = State(
         jnp.asarray(time, dtype),

@@ -154,3 +154,14 @@ def multiply(p, q) -> AnyArray:
     real = p[..., :1] * q[..., :1] - xp.sum(p[..., 1:] * q[..., 1:], -1, keepdims=True)
     rest = p[..., :1] * q[..., 1:] + q[..., :1] * p[..., 1:] + xp.cross(p[..., 1:], q[..., 1:])
     return xp.concatenate([real, rest], -1)
+
+
+def of_one_sign(quaternion) -> AnyArray:
+    """Frames (k, 4) with the signs that take neighbours less than half a turn apart.
+
+    q and -q are one frame, but neighbours of opposite sign would count as a turn apart.
+    """
+    xp = module_of(quaternion)
+    turned = xp.sum(quaternion[1:] * quaternion[:-1], 1) < 0
+    sign = xp.cumprod(xp.where(turned, -1, 1)).astype(quaternion.dtype)
+    return xp.concatenate([quaternion[:1], sign[:, None] * quaternion[1:]])

@@ -8,7 +8,13 @@ from jaxtyping import Array, Float
 
 from rodjax.argument_types import Number
 from rodjax.rod import Rod
-from rodjax.validation import check_not_negative
+from rodjax.validation import (
+    as_integer,
+    check_instance,
+    check_integer,
+    check_not_negative,
+    check_scalar,
+)
 
 
 def imperfect(
@@ -47,15 +53,19 @@ def imperfect(
         ValueError: a size is negative, or `modes` does not fit the grid.
     """
     name, size = ("fraction", fraction) if amplitude is None else ("amplitude", amplitude)
-    check_not_negative(**{name: jnp.asarray(size, jnp.result_type(float))})
-    if not (modes >= 1 and modes % 1 == 0 and 2 * modes <= rod.elements):
-        raise ValueError(
-            f"modes: a whole number from 1 to half of the {rod.elements} elements, got {modes}"
-        )
+    check_instance(Rod, "give a rod, of straight_rod or curved_rod", rod=rod)
+    check_scalar(**{name: size})
+    check_not_negative(**{name: size})
+    modes, seed = as_integer(modes), as_integer(seed)
+    try:
+        check_integer(1, rod.elements // 2, modes=modes)
+    except ValueError as error:
+        raise ValueError(f"{error}; the rod has {rod.elements} elements, two a half wave") from None
+    check_integer(0, 2**63 - 1, seed=seed)
     length = jnp.sum(rod.length)
     largest = fraction * length if amplitude is None else amplitude
-    unit = jnp.asarray(_directions(int(modes), seed), length.dtype)
-    curvature = _waves(jnp, int(modes), rod.midpoints / length).T @ unit
+    unit = jnp.asarray(_directions(modes, seed), length.dtype)
+    curvature = _waves(jnp, modes, rod.midpoints / length).T @ unit
     # the shape at rest of an inextensible rod of this curvature, and its distance from the chord
     slope = jnp.cumsum(curvature * rod.length[:, None], 0) - 0.5 * curvature * rod.length[:, None]
     steps = slope * rod.length[:, None]

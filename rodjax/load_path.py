@@ -35,7 +35,14 @@ from rodjax.scene import Scene
 from rodjax.start_checks import check_held_once
 from rodjax.state import State
 from rodjax.statics import Ramp, StaticEquations
-from rodjax.validation import check_finite, check_scalar
+from rodjax.validation import (
+    all_known,
+    as_integer,
+    check_finite,
+    check_integer,
+    check_positive,
+    check_scalar,
+)
 
 
 class EquilibriumInfo(NamedTuple):
@@ -137,15 +144,13 @@ def equilibrium(
     stop = jnp.asarray(state.time if time is None else time, dtype)
     if tolerance is None:
         tolerance = 1e-10 if jnp.finfo(dtype).eps < 1e-12 else 1e-4
-    numbers = {
-        "load_steps": load_steps,
-        "tolerance": tolerance,
-        "max_iterations": max_iterations,
-        "max_rotation": max_rotation,
-    }
-    for name, value in numbers.items():
-        if not isinstance(value, jax.core.Tracer) and not np.all(np.asarray(value) > 0):
-            raise ValueError(f"{name}: must be positive, got {value}")
+    counts = {"load_steps": as_integer(load_steps), "max_iterations": as_integer(max_iterations)}
+    for name, count in counts.items():
+        if all_known(count):
+            check_integer(1, **{name: count})
+    numbers = {"tolerance": tolerance, "max_rotation": max_rotation}
+    check_scalar(**numbers, **counts)
+    check_positive(**numbers)
     if not isinstance(tolerance, jax.core.Tracer) and tolerance < 10 * jnp.finfo(dtype).eps:
         raise ValueError(
             f"tolerance: {float(tolerance):g} is out of reach of {np.dtype(dtype).name}; use a"
@@ -162,9 +167,9 @@ def equilibrium(
         scene,
         state,
         stop,
-        as_array(load_steps),
+        as_array(counts["load_steps"]),
         as_array(tolerance),
-        jnp.asarray(max_iterations, jnp.int32),
+        jnp.asarray(counts["max_iterations"], jnp.int32),
         as_array(max_rotation),
         jnp.asarray({None: LEAVE_EXCITED, True: LEAVE, False: ACCEPT}[relax], jnp.int32),
         hold,

@@ -24,8 +24,7 @@ from rodjax.framing import (
     first_frame,
     grid,
     module_of,
-    multiply,
-    shortest,
+    of_one_sign,
     vector,
 )
 from rodjax.results import ModelWarning
@@ -36,6 +35,7 @@ from rodjax.section import (
     STIFFNESS,
     Property,
     Section,
+    Three,
     circular_section,
     components,
     sample,
@@ -65,8 +65,16 @@ __all__ = [
     "straight_rod",
 ]
 
-# under the names that they had here
-_frame, _shortest, _multiply = first_frame, shortest, multiply
+
+def _as_frames(value) -> Any:
+    """Known quaternions of frames as floating point numbers, of one sign along the rod."""
+    frames = as_float(value)
+    if not (known(frames) and np.ndim(frames) == 2):
+        return frames
+    given = np.asarray(frames)
+    with np.errstate(all="ignore"):  # the check will refuse what is not finite
+        signed = of_one_sign(given)
+    return frames if np.array_equal(signed, given) else jnp.asarray(signed)
 
 
 class Rod(eqx.Module):
@@ -78,7 +86,8 @@ class Rod(eqx.Module):
 
     Attributes:
         position: (n+1, 3), nodes of the initial placing, inertial axes [m].
-        quaternion: (n+1, 4), real part first: frames of the initial placing, body to inertial.
+        quaternion: (n+1, 4), real part first: frames of the initial placing, body to inertial. An
+            element's two are taken to be less than half a turn apart (q and -q are one frame).
         length: (n,), ds of the elements at rest [m].
         stiffness: (n, 3), A1, A2, C: bending about a_1 and a_2, torsion [N m^2].
         natural_curvature: (n, 3), kappa0 in the body frame: about a_1, a_2, and twist [1/m].
@@ -93,7 +102,7 @@ class Rod(eqx.Module):
     """
 
     position: Float[Array, "nodes 3"] = eqx.field(converter=as_float)
-    quaternion: Float[Array, "nodes 4"] = eqx.field(converter=as_float)
+    quaternion: Float[Array, "nodes 4"] = eqx.field(converter=_as_frames)
     length: Float[Array, " n"] = eqx.field(converter=as_float)
     stiffness: Float[Array, "n 3"] = eqx.field(converter=as_float)
     natural_curvature: Float[Array, "n 3"] = eqx.field(converter=as_float)
@@ -218,7 +227,7 @@ def straight_rod(
     direction: Vector = (0.0, 0.0, 1.0),
     first_director: Vector | None = None,
     origin: Vector = (0.0, 0.0, 0.0),
-    natural_curvature: Sequence[Property | Sequence[Number]] | AnyArray = (0.0, 0.0, 0.0),
+    natural_curvature: Three = (0.0, 0.0, 0.0),
     jumps: Sequence[Number] = (),
 ) -> Rod:
     """A rod placed straight along `direction`, its node s = 0 at `origin`.
@@ -330,7 +339,7 @@ def build_rod(
     position: AnyArray,
     quaternion: AnyArray,
     section: Section | Callable[[np.ndarray], Section],
-    natural_curvature: Sequence[Property | Sequence[Number]] | AnyArray,
+    natural_curvature: Three,
 ) -> Rod:
     """A `Rod` from node arc lengths, a placing and a section; the other builders end here."""
     midpoints = 0.5 * (nodes[1:] + nodes[:-1])

@@ -140,7 +140,7 @@ class Scene(eqx.Module):
             if isinstance(schedule.until, jax.core.Tracer):
                 continue
             until = float(schedule.until)
-            if until < time * (1 - 1e-9):
+            if until < time - 1e-9 * abs(time):
                 raise ValueError(
                     f"{name}: its schedule ends at {until:g}, before the run's end at {time:g};"
                     " extend the schedule or shorten the run"

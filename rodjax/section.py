@@ -17,10 +17,13 @@ from rodjax.validation import (
     check_positive,
     check_scalar,
     given,
+    made_array,
     shown,
 )
 
 Property = Number | AnyArray | Callable[[np.ndarray], np.ndarray]
+Three = Sequence[Property | Sequence[Number | AnyArray]] | AnyArray
+"""Three properties, or three components an element."""
 
 # what three components are, for messages
 STIFFNESS = "(A1, A2, C), bending about a_1 and a_2 and torsion; for a round rod (A, A, C)"
@@ -47,10 +50,10 @@ class Section(eqx.Module):
         area: of the section [m^2]; of buoyancy and added mass.
     """
 
-    stiffness: Sequence[Property | Sequence[Number]] | AnyArray
+    stiffness: Three
     mass: Property | None = None
-    rotary_inertia: Sequence[Property | Sequence[Number]] | AnyArray | None = None
-    compliance: Sequence[Property | Sequence[Number]] | AnyArray | None = None
+    rotary_inertia: Three | None = None
+    compliance: Three | None = None
     diameter: Property | None = None
     area: Property | None = None
 
@@ -84,7 +87,7 @@ def check_components(meaning: str, **properties) -> None:
         if len(value) == 3:
             for part in value:
                 check_property(**{name: part})
-        elif not all(np.shape(row) == (3,) for row in value) or not value:
+        elif not value or any(getattr(made_array(row), "shape", ()) != (3,) for row in value):
             raise ValueError(refusal)
 
 
@@ -109,7 +112,7 @@ def components(value: Any, midpoints: AnyArray, name: str, meaning: str) -> Arra
     """Values (n, 3) of three properties or of an array (n, 3)."""
     check_components(meaning, **{name: value})
     n = midpoints.shape[0]
-    shape = np.shape(value) if hasattr(value, "shape") else (len(value),)
+    shape = value.shape if hasattr(value, "shape") else (len(value),)
     if len(shape) == 2 and n == 3:
         raise ValueError(
             f"{name}: of three elements an array of shape {shape} may hold the components in its"
@@ -117,13 +120,12 @@ def components(value: Any, midpoints: AnyArray, name: str, meaning: str) -> Arra
         )
     rows = value if len(shape) == 2 else None
     if shape == (n,) and n != 3:
-        rows = np.asarray(value)  # a list of rows
-    if rows is not None and np.shape(rows) == (n, 3):
+        rows = made_array(value)  # a list of rows
+    if rows is not None and rows.shape == (n, 3):
         return jnp.asarray(as_float(rows), jnp.result_type(float))
     if shape[0] != 3:
-        raise ValueError(
-            f"{name}: expected shape {(n, 3)} for {n} elements, got {tuple(np.shape(value))}"
-        )
+        got = tuple(made_array(value).shape)
+        raise ValueError(f"{name}: expected shape {(n, 3)} for {n} elements, got {got}")
     return jnp.stack([sample(part, midpoints, name) for part in value], -1)
 
 

@@ -21,6 +21,7 @@ from rodjax.compilation import compiled
 from rodjax.fingerprint import fingerprint
 from rodjax.sealed_files import hdf5_path
 from rodjax.sweep_files import SweepFile, check_labels, read
+from rodjax.validation import as_integer, check_integer
 from rodjax.versions import versions
 
 __all__ = ["read", "sweep"]
@@ -66,8 +67,8 @@ def sweep(
         ValueError: the leading axes differ, or what the function returns cannot be kept.
         StorageError: the file holds another sweep; the message says what differs.
     """
-    if per_device < 1:
-        raise ValueError(f"per_device: must be at least 1, got {per_device}")
+    per_device = as_integer(per_device)
+    check_integer(1, per_device=per_device)
     names, leaves, structure = _named(parameters)
     count = _count(names, leaves)
     program, results = _traced(function, [jnp.asarray(leaf[0]) for leaf in leaves], structure)

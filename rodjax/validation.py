@@ -51,7 +51,7 @@ def as_traced(tree):
         number = isinstance(leaf, int | float | complex | np.number) and not isinstance(leaf, bool)
         if not (number or isinstance(leaf, np.ndarray) or getattr(leaf, "weak_type", False)):
             return leaf
-        if isinstance(leaf, int) and abs(leaf) >= 2**31:
+        if isinstance(leaf, int) and abs(leaf) > jnp.iinfo(jnp.result_type(int)).max:
             leaf = float(leaf) if abs(leaf) < 2**1000 else np.inf  # no integers of any size
         try:
             return jnp.asarray(leaf, jnp.asarray(leaf).dtype)
@@ -76,15 +76,15 @@ def as_integer(value):
 
 def _array(value) -> Any:
     """The value as something with shape and dtype of real numbers, or None."""
-    if not (hasattr(value, "shape") and hasattr(value, "dtype")):
-        value = _made(value)
+    if not isinstance(value, jax.Array | np.ndarray | np.generic | jax.ShapeDtypeStruct):
+        value = made_array(value)
         if value is None:
             return None
     real = jnp.issubdtype(value.dtype, jnp.floating) or jnp.issubdtype(value.dtype, jnp.integer)
     return value if real else None
 
 
-def _made(value):
+def made_array(value) -> Any:
     """An array of a number or of nested sequences, whatever they hold, or None."""
     if isinstance(value, int) and not isinstance(value, bool):
         # there are no integer arrays of any size, and a whole number may be large
@@ -92,8 +92,14 @@ def _made(value):
     try:
         return np.asarray(value)
     except jax.errors.TracerArrayConversionError:
+        pass
+    except Exception:  # whatever another library's object raises
+        return None
+    if any(isinstance(leaf, str | bytes) for leaf in jax.tree.leaves(value)):
+        return None  # which jax would take for names of types
+    try:
         return jnp.asarray(value)  # of tracers, so it is traced anyway
-    except (TypeError, ValueError):
+    except (TypeError, ValueError):  # and of something else besides
         return None
 
 
@@ -120,6 +126,12 @@ def known(value) -> bool:
     """Whether a field holds numbers (not a tracer, nor what only has a shape)."""
     held = isinstance(value, jax.Array | np.ndarray | np.generic)
     return held and not isinstance(value, jax.core.Tracer)
+
+
+def all_known(*trees) -> bool:
+    """Whether no leaf of the pytrees is traced, nor has a shape only."""
+    without = jax.core.Tracer | jax.ShapeDtypeStruct
+    return not any(isinstance(leaf, without) for leaf in jax.tree.leaves(trees))
 
 
 def shown(value) -> str:
@@ -211,7 +223,7 @@ def _known(values):
             if isinstance(value, list | tuple) and not known(_array(value)):
                 continue  # of tracers
             large = isinstance(value, int) and abs(value) >= 2**63  # no integer of an array's
-            yield name, np.asarray(_made(value) if large else value)
+            yield name, np.asarray(made_array(value) if large else value)
 
 
 def _described(shape: tuple[int, ...]) -> str:

@@ -1,5 +1,7 @@
 """What a newcomer gives by mistake is answered with the argument's name and the mend."""
 
+import dataclasses
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -172,6 +174,60 @@ SLIPS = {
             "vibration": lambda: rx.vibration(SCENE, FAILED),
         }.items()
     },
+    "load steps as a text": (
+        "load_steps: must be a whole number",
+        lambda: rx.equilibrium(SCENE, STATE, load_steps="a"),
+    ),
+    "half a load step": (
+        "load_steps: must be a whole number",
+        lambda: rx.equilibrium(SCENE, STATE, load_steps=2.5),
+    ),
+    "tolerance as a text": (
+        "tolerance: must be one real number",
+        lambda: rx.equilibrium(SCENE, STATE, tolerance="a"),
+    ),
+    "chunk as a text": (
+        "chunk: must be a whole number",
+        lambda: rx.adaptive_rollout(SCENE, STATE, 1.0, chunk="a"),
+    ),
+    "part of a chunk": (
+        "chunk: must be a whole number",
+        lambda: rx.adaptive_rollout(SCENE, STATE, 1.0, chunk=2.5),
+    ),
+    "no step": (
+        "max_steps: must be a whole number of at least 1",
+        lambda: rx.adaptive_rollout(SCENE, STATE, 1.0, max_steps=0),
+    ),
+    "chunk to compile": (
+        "chunk: must be a whole number",
+        lambda: rx.adaptive.compile_adaptive_rollout(SCENE, STATE, chunk=0),
+    ),
+    "chosen steps in traced code": (
+        "scene, state: adaptive_rollout cannot be traced; replay its times by rollout",
+        lambda: jax.jit(lambda t: rx.adaptive_rollout(SCENE, STATE, t))(1.0),
+    ),
+    "gradient of chosen steps": (
+        "scene, state: adaptive_rollout cannot be traced",
+        lambda: jax.grad(
+            lambda x: rx.adaptive_rollout(
+                SCENE, dataclasses.replace(STATE, position=x * STATE.position), 1.0
+            ).times[-1]
+        )(1.0),
+    ),
+    "half waves as a text": (
+        "modes: must be a whole number of at least 1 and at most 4, got 'a'; the rod has 8",
+        lambda: rx.imperfect(ROD, modes="a"),
+    ),
+    "imperfection as a text": (
+        "fraction: must be one real number",
+        lambda: rx.imperfect(ROD, "a"),
+    ),
+    "seed as a text": ("seed: must be a whole number", lambda: rx.imperfect(ROD, seed="a")),
+    "scene for a rod": ("rod: give a rod", lambda: rx.imperfect(SCENE)),
+    "lanes as a text": (
+        "per_device: must be a whole number",
+        lambda: rx.sweep.sweep(lambda x: x, {"x": np.ones(2)}, "none.h5", per_device="a"),
+    ),
     "states of a run": (
         "state: holds many states",
         lambda: rx.rollout(SCENE, jax.tree.map(lambda x: jnp.stack([x, x]), STATE), [0.1]),

@@ -1,5 +1,7 @@
 """Building rods: geometry, properties, units of the section, and every refusal."""
 
+import dataclasses
+
 import jax
 import jax.numpy as jnp
 import jaxtyping
@@ -120,6 +122,30 @@ def test_curved_rod_may_end_in_a_half_turn():
         rotations.matrix(rod.quaternion)[:, :, 0], [[0, 1, 0]] * 11, atol=1e-9
     )
     assert 0.4 in np.asarray(rod.arc_length)
+
+
+def test_frames_of_any_sign_are_those_of_one():
+    """q and -q are one frame; other libraries give either."""
+    rod = curved_rod(helix, 2.0, 6, UNIT_SECTION)
+    signs = jnp.asarray([1.0, -1, -1, 1, -1, 1, 1])[:, None]
+    mixed = dataclasses.replace(rod, quaternion=signs * rod.quaternion)
+    np.testing.assert_array_equal(mixed.quaternion, rod.quaternion)
+    # the first is kept
+    other = dataclasses.replace(rod, quaternion=-signs * rod.quaternion)
+    np.testing.assert_array_equal(other.quaternion, -rod.quaternion)
+    np.testing.assert_array_equal(
+        curvature(other, other.quaternion), curvature(rod, rod.quaternion)
+    )
+    with pytest.raises(ValueError, match="^quaternion: must be finite"):
+        dataclasses.replace(rod, quaternion=rod.quaternion.at[2, 1].set(jnp.inf))
+
+
+def test_rows_of_traced_numbers_are_a_curvature():
+    build = lambda k: straight_rod(1.0, 4, UNIT_SECTION, natural_curvature=[(k, 0.0, 2 * k)] * 4)
+    wanted = np.tile([0.3, 0.0, 0.6], (4, 1))
+    np.testing.assert_allclose(jax.jit(lambda k: build(k).natural_curvature)(0.3), wanted)
+    slope = jax.jacfwd(lambda k: build(k).natural_curvature)(0.3)
+    np.testing.assert_allclose(slope, wanted / 0.3)
 
 
 # Properties

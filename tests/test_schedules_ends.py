@@ -313,6 +313,11 @@ def test_schedule_that_ends_early_is_refused():
     with pytest.raises(ValueError, match=r"last_end.rotation: its schedule ends at 4"):
         turned = Clamped(rotation=Turn((0, 0, 1), Smooth([0, 4], [0, 1])))
         Scene(rod, Free(), turned).check_until(5.0)
+    before = Scene(rod, Clamped(rotation=Turn((0, 0, 1), PiecewiseLinear([-4.0, -1.0], [0, 1]))))
+    before.check_until(-1.0)
+    before.check_until(-1.0 + 1e-12)
+    with pytest.raises(ValueError, match=r"its schedule ends at -1, before the run's end at -0.5"):
+        before.check_until(-0.5)
 
 
 @pytest.mark.parametrize("kind", [PiecewiseLinear, PiecewiseLinearRate, Smooth])

@@ -13,6 +13,7 @@ from rodjax.validation import (
     as_float,
     as_float_or_none,
     as_integer,
+    as_traced,
     check_finite,
     check_flag,
     check_instance,
@@ -73,6 +74,48 @@ def test_real_numbers_become_floats(value):
     assert found.dtype == jnp.float64
     np.testing.assert_array_equal(np.asarray(found), np.asarray(value, float))
     check_numbers(width=value)
+
+
+class Foreign:
+    """Another library's array, which numpy may read or not."""
+
+    dtype, shape = "torch.float32", (2,)
+
+    def __init__(self, values):
+        self.values = values
+
+    def __array__(self, dtype=None, copy=None):
+        if self.values is None:
+            raise RuntimeError("cannot be read while it takes part in a gradient")
+        return np.asarray(self.values, dtype)
+
+
+def test_arrays_of_other_libraries():
+    np.testing.assert_array_equal(as_float(Foreign([1.0, 2.0])), [1.0, 2.0])
+    check_shape((2,), width=Foreign([1.0, 2.0]))
+    for value in (Foreign(None), [Foreign(None)], Foreign(["a", "b"])):
+        assert as_float(value) is value and as_integer(value) is value
+        with pytest.raises(ValueError, match=r"^width: must be a real number or an array of them"):
+            check_numbers(width=value)
+
+
+def test_a_traced_number_beside_a_text():
+    def build(x):
+        value = [x, "a"]
+        assert as_float(value) is value
+        check_numbers(width=value)
+
+    with pytest.raises(ValueError, match=r"^width: must be a real number or an array of them"):
+        jax.jit(build)(1.0)
+
+
+def test_whole_numbers_stay_whole_where_the_integers_hold_them():
+    found = as_traced({"a": 2**40, "b": 2**70, "c": 10**400})
+    assert found["a"].dtype == jnp.int64 and int(found["a"]) == 2**40
+    assert float(found["b"]) == 2.0**70 and np.isinf(found["c"])
+    with jax.enable_x64(False):
+        assert as_traced(2**31 - 1).dtype == jnp.int32
+        assert float(as_traced(2**40)) == 2.0**40
 
 
 def test_single_precision_is_kept():
