@@ -31,13 +31,17 @@ def along(curve: Callable, s: AnyArray) -> tuple[AnyArray, AnyArray]:
         return _differentiated(curve, s)
     begin = vector(first, "curve")
     if any(isinstance(part, jax.Array) for part in jax.tree.leaves(first)):
-        try:
-            slopes = np.asarray(_differentiated(curve, s)[1], float)
-        except Exception:  # numpy or `if` after all, or what jax has no derivative of
-            slopes = np.nan
-        if np.all(np.isfinite(slopes)):
+        slopes = _exact(curve, s)
+        if slopes is not None and np.all(np.isfinite(slopes)):
             return begin, slopes
     return begin, _differences(curve, s, np.asarray(first).dtype)
+
+
+def _exact(curve, s) -> np.ndarray | None:
+    try:
+        return np.asarray(_differentiated(curve, s)[1], float)
+    except Exception:  # numpy or `if` after all, or what jax has no derivative of
+        return None
 
 
 def _differentiated(curve, s):
