@@ -76,15 +76,15 @@ def total_mass(rod: Rod) -> Float[Array, ""]:
     return jnp.sum(rod.mass * rod.length)
 
 
-def admissible(scene: Scene, state: State) -> Admissible:
-    """The motions that the constraint allows at a state, and the tangent on them."""
-    rod = scene.rod
-    n, dtype = rod.elements, state.position.dtype
-    kinematics = strains(rod, state.position, state.quaternion)
+def allowed(
+    rod: Rod, position: Float[Array, "nodes 3"], quaternion: Float[Array, "nodes 4"]
+) -> Float[Array, "m nodes 6"]:
+    """The motions that the constraint allows: displacement over L and body spin of the nodes."""
+    n, dtype = rod.elements, position.dtype
+    kinematics = strains(rod, position, quaternion)
     shear = balance.constraint_tangent(rod, kinematics).constraint_spin  # gamma x d theta_e
     length = jnp.sum(rod.length)
-    compliance = rod.compliance
-    give = None if compliance is None else (compliance > 0).astype(dtype)
+    give = None if rod.compliance is None else (rod.compliance > 0).astype(dtype)
 
     def expand(y):
         """Motion of the nodes for the parameters y = (u_0 / L, spins, g)."""
@@ -100,30 +100,47 @@ def admissible(scene: Scene, state: State) -> Admissible:
         )
 
     parameters = 3 + 3 * (n + 1) + (0 if give is None else 3 * n)
-    basis = jax.vmap(expand)(jnp.eye(parameters, dtype=dtype))
+    return jax.vmap(expand)(jnp.eye(parameters, dtype=dtype))
+
+
+def constrained(
+    scene: Scene,
+    time: Float[Array, ""],
+    basis: Float[Array, "m nodes 6"],
+    stiffness: Float[Array, "m m"],
+) -> Admissible:
+    """Allowed motions with the tangent of the balances on them, the compliance's springs added."""
+    rod, compliance = scene.rod, scene.rod.compliance
+    length = jnp.sum(rod.length)
+    norm = jnp.repeat(rod.node_length / length, 3)
+    norm = jnp.concatenate([jnp.zeros((3,), norm.dtype), norm])
+    if compliance is not None:
+        # components without compliance stay put: a spring far stiffer than all else holds them
+        ds = jnp.repeat(rod.length / length, 3)
+        stiff = far_above(stiffness) * ds
+        force = mean_bending(scene) / length**2
+        spring = ds / jnp.where(compliance > 0, compliance * force, 1.0).ravel()
+        spring = jnp.where((compliance > 0).ravel(), spring, stiff)
+        stiffness = stiffness + jnp.diag(jnp.concatenate([jnp.zeros_like(norm), spring]))
+        norm = jnp.concatenate([norm, ds])
+    first, last = projectors(scene, time)
+    held = [p @ basis[:, i].T for p, i in ((first, 0), (last, -1))]
+    return Admissible(basis, stiffness, norm, jnp.concatenate(held))
+
+
+def admissible(scene: Scene, state: State) -> Admissible:
+    """The motions that the constraint allows at a state, and the tangent on them."""
+    basis = allowed(scene.rod, state.position, state.quaternion)
     motion = at_rest(state.time, state.position, state.quaternion)
-    units, energy = _units(scene)[None], mean_bending(scene) / length
+    units, energy = _units(scene)[None], mean_bending(scene) / jnp.sum(scene.rod.length)
 
     def work(z):
         """The imbalance, as work over A/L on a displacement of L or a spin of 1."""
         return static_balance(scene, moved(motion, units * z), state.force)[0] * (units / energy)
 
     push = lambda z: jax.jvp(work, (jnp.zeros_like(z),), (z,))[1]
-    flat = basis.reshape(parameters, -1)
-    stiffness = flat @ jax.vmap(push)(basis).reshape(parameters, -1).T
-    norm = jnp.concatenate([jnp.zeros((3,), dtype), jnp.repeat(rod.node_length / length, 3)])
-    if compliance is not None:
-        # components without compliance stay put: a spring far stiffer than all else holds them
-        ds = jnp.repeat(rod.length / length, 3)
-        stiff = far_above(stiffness) * ds
-        force = energy / length
-        spring = ds / jnp.where(compliance > 0, compliance * force, 1.0).ravel()
-        spring = jnp.where((compliance > 0).ravel(), spring, stiff)
-        stiffness = stiffness + jnp.diag(jnp.concatenate([jnp.zeros_like(norm), spring]))
-        norm = jnp.concatenate([norm, ds])
-    first, last = projectors(scene, state.time)
-    held = [p @ basis[:, i].T for p, i in ((first, 0), (last, -1))]
-    return Admissible(basis, stiffness, norm, jnp.concatenate(held))
+    stiffness = basis.reshape(len(basis), -1) @ jax.vmap(push)(basis).reshape(len(basis), -1).T
+    return constrained(scene, state.time, basis, stiffness)
 
 
 def mass_matrix(scene: Scene, state: State, motions: Admissible) -> Float[Array, "m m"]:

@@ -66,20 +66,21 @@ def far_above(matrix: Float[Array, "m m"]) -> Float[Array, ""]:
     return 2 * jnp.max(jnp.sum(jnp.abs(matrix), 1))
 
 
-def rank_tolerance(dtype) -> float:
-    """Singular values of held directions, over the largest, that are no more than rounding."""
-    return 0.1 * float(jnp.finfo(dtype).eps) ** 0.5
+def split(held: Float[Array, "k m"]):
+    """Pseudo-inverse of the held directions, the projector on them and that on all others."""
+    # they may depend on each other (two clamps of a straight inextensible rod) but for rounding
+    negligible = 0.1 * float(jnp.finfo(held.dtype).eps) ** 0.5
+    inverse = jnp.linalg.pinv(held, rtol=negligible)
+    rows = _symmetric(inverse @ held)
+    return inverse, rows, jnp.eye(len(rows), dtype=rows.dtype) - rows
 
 
 def _factor(stiffness, weight, held, unit) -> _Factored:
-    # the ends' rows may depend on each other (two clamps of a straight inextensible rod)
     stiffness, weight, held, unit = lax.stop_gradient((stiffness, weight, held, unit))
-    inverse = jnp.linalg.pinv(held, rtol=rank_tolerance(held.dtype))
-    rows = inverse @ held
-    free = jnp.eye(len(rows), dtype=rows.dtype) - rows
+    inverse, rows, free = split(held)
     k, w = free @ stiffness @ free, _symmetric(free @ weight @ free)
     even = _symmetric(k)
-    even = even + far_above(even) * _symmetric(rows)
+    even = even + far_above(even) * rows
     factor = lambda sigma: jnp.linalg.cholesky(even + sigma * w)
     indefinite = lambda carry: ~jnp.all(jnp.isfinite(carry[1])) & (carry[0] < 1e20 * unit)
     raised = lambda carry: (4 * carry[0], factor(4 * carry[0]))

@@ -19,6 +19,7 @@ from rodjax import newton, results, rotations
 from rodjax.argument_types import Number
 from rodjax.arguments import check_motion, check_scene
 from rodjax.compilation import compiled
+from rodjax.failure import not_a_number
 from rodjax.overlap import check_apart, overcome
 from rodjax.path_following import (
     ACCEPT,
@@ -54,7 +55,8 @@ class EquilibriumInfo(NamedTuple):
         load_steps: accepted steps of the path.
         rejected: steps that were halved.
         reached: how far along the path, 1 at its end.
-        unstable: number of unstable modes of the equilibrium (see `unstable_modes`).
+        unstable: number of unstable modes of the equilibrium (see `unstable_modes`); -1 where they
+            were not counted, in a path that is followed with relax=False and ends early.
         descent: steps of descents from unstable equilibria.
     """
 
@@ -189,7 +191,7 @@ def equilibrium(
                 " to a stable state with relax=True)"
             )
             results.raise_if_failed(info.result, where, (new, info))
-    return results.nan_if_failed(new, info.result), info
+    return not_a_number(new, info.result != Result.SUCCESS), info
 
 
 def _warn_if_unstable(info: EquilibriumInfo) -> None:

@@ -63,8 +63,8 @@ _REPEATS = 100
 # smaller ones, and a shorter step of the path would not change that.
 _PATIENCE = 12
 
-# Number of unstable modes before any was counted.
-_UNKNOWN = 2**30
+# Number of unstable modes before any was counted: of the start, and of states that are not.
+_UNKNOWN, _NOT_COUNTED = 2**30, -1
 
 # How a path behaves at unstable equilibria: takes them, leaves those that something excites it to
 # leave, leaves all.
@@ -84,7 +84,7 @@ class Path(NamedTuple):
     accepted: Int[Array, ""]
     rejected: Int[Array, ""]
     reached: Float[Array, ""]
-    unstable: Int[Array, ""]  # modes at x
+    unstable: Int[Array, ""]  # modes at x; -1 if they were not counted
     repeats: Int[Array, ""]  # steps at the end of the path until the spin rests
 
 
@@ -178,7 +178,10 @@ def follow(
         least = neutral(scene, trial.force(x))
         level = least * norm
         resisted = jnp.stack([level, sigma * weight + level, sigma / 3 * weight + level])
-        unstable, convex, easily = count_below(trial, x, resisted)
+        # at the end of the path modes are counted for the result, before it to stay on the branch
+        once = opening | (converged & ((leave != ACCEPT) | (target == 1)))
+        wanted = jnp.where(descent.active & converged, 3, once.astype(jnp.int32))
+        unstable, convex, easily = count_below(trial, x, resisted, wanted)
         on_branch = (unstable <= path.unstable) | (leave == ACCEPT)
         moved = trial.size(x.at[:, 3:6].set(0.0))
 
@@ -244,7 +247,7 @@ def follow(
     nowhere = jnp.zeros_like(first)
     reference = state.position, state.quaternion
     x = equations(nowhere, reference).guess(state.force)
-    unstable = jnp.asarray(_UNKNOWN, jnp.int32)
+    unstable = jnp.where(leave == ACCEPT, _NOT_COUNTED, _UNKNOWN).astype(jnp.int32)
     path = Path(first, reference, x, none, none, none, none, nowhere, unstable, none)
     descent = _Descent(no, nowhere, reference, state.force, nowhere, no, none, none, none)
     path, descent = lax.while_loop(unfinished, attempt, (path, descent))
@@ -291,5 +294,6 @@ def _astray(
     """
     turned = jnp.max(jnp.sum(x[:, 6:] ** 2, 1)) > jnp.pi**2
     strain = lambda quaternion: rotations.logarithm(relative_rotation(quaternion))
-    jumped = jnp.max(jnp.sum((strain(after) - strain(before)) ** 2, 1)) > jnp.pi**2
+    old, new = jax.vmap(strain)(jnp.stack([before, after]))
+    jumped = jnp.max(jnp.sum((new - old) ** 2, 1)) > jnp.pi**2
     return turned | jumped | wound(after)

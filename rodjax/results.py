@@ -3,7 +3,6 @@
 import enum
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Int
@@ -134,18 +133,6 @@ def join(*codes: Int[Array, ""]) -> Int[Array, ""]:
     for code in codes[1:]:
         worst = jnp.maximum(worst, jnp.asarray(code, jnp.int32))
     return worst
-
-
-def nan_if_failed(tree, code: Int[Array, ""]):
-    """The tree with its numbers, and their derivatives, made NaN unless the code is a success."""
-    # by a factor: a selection would give the derivative of what failed, or zero
-    factor = jnp.where(code == Result.SUCCESS, 1.0, jnp.nan)
-
-    def marked(leaf):
-        floating = jnp.issubdtype(jnp.result_type(leaf), jnp.floating)
-        return leaf * factor.astype(leaf.dtype) if floating else leaf
-
-    return jax.tree.map(marked, tree)
 
 
 def raise_if_failed(code, where: str = "", partial=None) -> None:

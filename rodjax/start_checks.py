@@ -92,7 +92,9 @@ def check_held_once(scene: Scene, state: State) -> None:
         f" determined: inextensible and straight along ({along}), it cannot let its ends come"
         " nearer or part. Let one end slide along the rod (Slider), give the rod axial compliance"
         " (Section(compliance=(0, 0, 1 / EA)) or circular_section(extensible=True)), or place it"
-        f" curved (by more than {_enough_hold(least.dtype):.1g} rad in {least.dtype.name})"
+        f" curved, at angles to ({along}) of more than"
+        # see `least_hold`
+        f" {2**0.5 * _enough_hold(least.dtype):.2g} rad (root mean square) in {least.dtype.name}"
     )
 
 

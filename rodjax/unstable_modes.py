@@ -13,8 +13,6 @@ Loads without a potential (followers, dead end moments) have a tangent without s
 sign of its determinant tells whether the number of modes that diverge is odd; flutter is not seen.
 """
 
-from typing import NamedTuple
-
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -22,8 +20,11 @@ from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
 from rodjax import balance, rotations
+from rodjax.admissible import allowed, constrained, mean_bending
 from rodjax.block_tridiagonal import BlockTridiagonal
-from rodjax.coupled import CoupledSystem, couple, find_nearby
+from rodjax.coupled import Coupling, couple, find_nearby
+from rodjax.eigenvalues import far_above, split
+from rodjax.loads import NodeMotion
 from rodjax.scene import Scene, projectors
 from rodjax.statics import StaticEquations, load_tangent
 
@@ -35,14 +36,6 @@ _MOTION = np.array([0, 1, 2, 6, 7, 8])
 
 # How stiff what holds an end is, in scaled units: two clamps may hold the same thing twice.
 _END_COMPLIANCE = 1e-9
-
-
-class _Tangent(NamedTuple):
-    """A tangent and what it is made of."""
-
-    elements: balance.ElementTangent
-    node: Float[Array, "nodes 6 6"]
-    blocks: BlockTridiagonal  # free at both ends, rows in the order of the columns
 
 
 def neutral(scene: Scene, force: Float[Array, "n 3"]) -> Float[Array, ""]:
@@ -57,34 +50,41 @@ def neutral(scene: Scene, force: Float[Array, "n 3"]) -> Float[Array, ""]:
 
 
 def count_below(
-    equations: StaticEquations, x: Float[Array, "nodes 9"], added: Float[Array, "k nodes 6"]
+    equations: StaticEquations,
+    x: Float[Array, "nodes 9"],
+    added: Float[Array, "k nodes 6"],
+    wanted: Int[Array, ""] | int,
 ) -> Int[Array, " k"]:
     """Number of unstable modes of the second variation at x, with stiffnesses added to its nodes.
 
     `added` to the displacements and body spins [N/m, N m]: a level times `statics.moving_weight`
-    counts the eigenvalues below minus that level.
+    counts the eigenvalues below minus that level. Only the first `wanted` are counted, those that
+    are not are -1.
     """
-    tangent = _tangent(equations, x)
-    even = _asymmetry(equations, tangent.blocks) < 10 * jnp.sqrt(jnp.finfo(x.dtype).eps)
+    # a loop, for its program holds one count, and those that nobody wants cost nothing
+    count = lambda i, found: found.at[i].set(_count(equations, x, added[i]))
+    return lax.fori_loop(0, wanted, count, jnp.full((len(added),), -1, jnp.int32))
 
-    def by_elimination(_):
-        return jax.vmap(lambda one: _eliminated(equations, tangent, one, even))(added)
 
+def _count(equations: StaticEquations, x, added: Float[Array, "nodes 6"]) -> Int[Array, ""]:
+    blocks = _tangent(equations, x)
+    even = _asymmetry(equations, blocks) < 10 * jnp.sqrt(jnp.finfo(x.dtype).eps)
+    by_elimination = lambda: _eliminated(equations, blocks, added, even)
     contact = equations.scene.contact
     if contact is None:
-        return by_elimination(None)
+        return by_elimination()
     motion = equations.motion(x)
     nearby = find_nearby(equations.scene, motion.position)
     never = jnp.zeros((2, 6, 6), x.dtype)
-    coupling = couple(contact, nearby, motion, jnp.zeros((), x.dtype), never, equations.scales)
+    coupling = couple(contact, nearby, motion, jnp.zeros((), x.dtype), never, equations.scales)[1]
 
-    def by_eigenvalues(_):
-        return _reduced(equations, tangent, coupling[1], added, even)
+    assert coupling is not None
+    by_eigenvalues = lambda: _reduced(equations, motion, blocks, coupling, added, even)
+    return lax.cond(nearby.near.level > 0, by_eigenvalues, by_elimination)
 
-    return lax.cond(nearby.near.level > 0, by_eigenvalues, by_elimination, None)
 
-
-def _tangent(equations: StaticEquations, x) -> _Tangent:
+def _tangent(equations: StaticEquations, x) -> BlockTridiagonal:
+    """The tangent of the rod free at both ends, its rows in the order of the columns."""
     scene, motion, force = equations.scene, equations.motion(x), equations.force(x)
     elements = balance.element_tangent(scene.rod, motion.position, motion.quaternion, force)
     node = load_tangent(scene, motion, equations.ramp.factor)
@@ -94,18 +94,21 @@ def _tangent(equations: StaticEquations, x) -> _Tangent:
     if equations.resistance is not None:
         lacking = lacking - equations.resistance[:, 3:] * x[:, 6:]
     node = node.at[:, 3:, 3:].add(-0.5 * rotations.hat(lacking))
-    blocks = _ordered(equations, elements, node)
-    return _Tangent(elements, node, blocks)
-
-
-def _ordered(equations: StaticEquations, elements, node) -> BlockTridiagonal:
-    """The tangent of the rod free at both ends, in units in which it is a second derivative."""
-    rod, scales = equations.scene.rod, equations.scales
     never = jnp.zeros((2, 6, 6), node.dtype)
-    blocks = balance.assemble(rod, elements, node, never, scales)
-    length = jnp.concatenate([scales.length[None], rod.length]) / scales.length
-    factor = jnp.ones((rod.elements + 1, 9, 1), node.dtype).at[:, :3, 0].set(length[:, None])
+    blocks = balance.assemble(scene.rod, elements, node, never, equations.scales)
+    # in units in which the tangent is a second derivative
+    length = equations.scales.length
+    edges = jnp.concatenate([length[None], scene.rod.length]) / length
+    factor = jnp.ones((len(edges), 9, 1), node.dtype).at[:, :3, 0].set(edges[:, None])
     return jax.tree.map(lambda rows: (factor * rows)[:, _ORDER], blocks)
+
+
+def _stiffened(blocks: BlockTridiagonal, scales: balance.Scales, added) -> BlockTridiagonal:
+    """The tangent with stiffnesses of the nodes added."""
+    ones = jnp.ones((3,), added.dtype)
+    unit = jnp.concatenate([ones * scales.length, ones / scales.length]) / scales.force
+    diagonal = blocks.diagonal.at[:, _MOTION, _MOTION].add(added * unit[None])
+    return BlockTridiagonal(blocks.lower, diagonal, blocks.upper)
 
 
 def _symmetric(blocks: BlockTridiagonal) -> BlockTridiagonal:
@@ -138,22 +141,23 @@ def _negative(matrix: Float[Array, "*b k k"]) -> Int[Array, " *b"]:
     return jnp.sum((jnp.linalg.eigvalsh(scaled) < 0).astype(jnp.int32), -1)
 
 
-def _eliminated(equations: StaticEquations, tangent: _Tangent, added, even) -> Int[Array, ""]:
+def _eliminated(
+    equations: StaticEquations, blocks: BlockTridiagonal, added, even: Bool[Array, ""]
+) -> Int[Array, ""]:
     """`count_below` by block elimination."""
     scene = equations.scene
-    node = tangent.node + jax.vmap(jnp.diag)(added)
-    blocks = _ordered(equations, tangent.elements, node)
+    blocks = _stiffened(blocks, equations.scales, added)
     blocks = jax.tree.map(lambda a, b: jnp.where(even, a, b), _symmetric(blocks), blocks)
     rest = jax.tree.map(lambda rows: rows[1:], blocks)
     factors = rest.factorize()
-    eye = jnp.eye(9, dtype=node.dtype)[:, _MOTION]
-    columns = jnp.zeros((scene.rod.elements, 9, 12), node.dtype)
+    eye = jnp.eye(9, dtype=added.dtype)[:, _MOTION]
+    columns = jnp.zeros((scene.rod.elements, 9, 12), added.dtype)
     columns = columns.at[0, :, :6].set(blocks.lower[1][:, _MOTION]).at[-1, :, 6:].set(eye)
     response = factors.solve(columns)
     first = blocks.upper[0][_MOTION] @ response[0]
     last = response[-1][_MOTION]
-    held, aside = projectors(scene, equations.start.time).astype(node.dtype)
-    unit = (1 + _END_COMPLIANCE) * jnp.eye(6, dtype=node.dtype)
+    held, aside = projectors(scene, equations.start.time).astype(added.dtype)
+    unit = (1 + _END_COMPLIANCE) * jnp.eye(6, dtype=added.dtype)
     own = blocks.diagonal[0][_MOTION[:, None], _MOTION] - first[:, :6]
     zero = jnp.zeros_like(own)
     border = jnp.block(
@@ -172,58 +176,32 @@ def _eliminated(equations: StaticEquations, tangent: _Tangent, added, even) -> I
 
 
 def _reduced(
-    equations: StaticEquations, tangent: _Tangent, coupling, added, even: Bool[Array, ""]
-) -> Int[Array, " k"]:
-    """`count_below` by the eigenvalues on admissible motions (see `linear_stability`)."""
+    equations: StaticEquations,
+    motion: NodeMotion,
+    blocks: BlockTridiagonal,
+    coupling: Coupling,
+    added,
+    even: Bool[Array, ""],
+) -> Int[Array, ""]:
+    """`count_below` by the eigenvalues on admissible motions (see `admissible`)."""
     scene, scales = equations.scene, equations.scales
-    rod = scene.rod
-    n, dtype = rod.elements, added.dtype
-    never = jnp.zeros((2, 6, 6), dtype)
-    blocks = balance.assemble(rod, tangent.elements, tangent.node, never, scales)
-    system = CoupledSystem(blocks, coupling)
-    elements = tangent.elements
-    spinning = 3 * n + 6
-
-    def expand(y):
-        """Displacements over l and spins of the nodes for (u_0 / l, spins, g)."""
-        spins = y[3:spinning].reshape(n + 1, 3)
-        pair = jnp.concatenate([spins[:-1], spins[1:]], 1)
-        stretch = -jnp.einsum("nij,nj->ni", elements.constraint_spin, pair)
-        if rod.compliance is not None:
-            stretch = stretch + y[spinning:].reshape(n, 3)
-        edge = (rod.length / scales.length)[:, None] * jnp.einsum(
-            "nij,nj->ni", elements.frame, stretch
-        )
-        shift = jnp.cumsum(jnp.concatenate([y[None, :3], edge]), 0)
-        return jnp.concatenate([shift, spins], 1)
-
-    size = spinning + (0 if rod.compliance is None else 3 * n)
-    basis = jax.vmap(expand)(jnp.eye(size, dtype=dtype))
-    columns = jnp.concatenate(
-        [basis[:, :, :3], jnp.zeros_like(basis[:, :, :3]), basis[:, :, 3:]], 2
-    )
-    pushed = jax.vmap(system.multiply)(columns)[:, :, 3:]
-    flat = basis.reshape(size, -1)
-    stiffness = flat @ pushed.reshape(size, -1).T
-    unit = jnp.repeat(jnp.stack([scales.length**2, jnp.ones_like(scales.length)]), 3)
-    unit = unit / (scales.force * scales.length)
-    far = 2 * jnp.max(jnp.sum(jnp.abs(stiffness), 1))
-    if rod.compliance is not None:
-        give = rod.compliance.ravel()
-        spring = jnp.repeat(rod.length, 3) / jnp.where(give > 0, give, 1.0)
-        spring = jnp.where(give > 0, spring / (scales.force * scales.length), far)
-        stiffness = stiffness + jnp.diag(jnp.pad(spring, (spinning, 0)))
-    both = projectors(scene, equations.start.time).astype(dtype)
-    rows = [both[i] @ basis[:, j].T for i, j in ((0, 0), (1, -1))]
-    rows = jnp.concatenate(rows)
-    rows = jnp.linalg.pinv(rows, rtol=1e-9) @ rows
-    keep = jnp.eye(size, dtype=dtype) - rows
-
-    def below(one):
-        stiffer = stiffness + (flat * (one * unit[None]).ravel()[None]) @ flat.T
-        matrix = keep @ stiffer @ keep + far * rows
-        count = _negative(0.5 * (matrix + matrix.T))
-        odd = jnp.linalg.slogdet(matrix)[0] < 0
-        return jnp.where(even, count.astype(jnp.int32), odd.astype(jnp.int32))
-
-    return jax.vmap(below)(added)
+    blocks = _stiffened(blocks, scales, added)
+    basis = allowed(scene.rod, motion.position, motion.quaternion)
+    # the tangent's displacements are over l, its works over F l
+    length = jnp.sum(scene.rod.length) / scales.length
+    unit = jnp.repeat(jnp.stack([length, jnp.ones_like(length)]), 3)[None, None]
+    moved = unit * basis
+    columns = jnp.insert(moved, np.array([3, 3, 3]), 0.0, axis=2)
+    pushed = jnp.moveaxis(blocks.multiply(jnp.moveaxis(columns, 0, 2)), 2, 0)[:, :, _MOTION]
+    pushed = pushed + jax.vmap(coupling.multiply)(columns)[:, :, 3:]
+    size = len(basis)
+    stiffness = moved.reshape(size, -1) @ pushed.reshape(size, -1).T
+    energy = mean_bending(scene) / jnp.sum(scene.rod.length)
+    stiffness = stiffness * (scales.force * scales.length / energy)
+    motions = constrained(scene, equations.start.time, basis, stiffness)
+    _, rows, free = split(motions.ends)
+    matrix = free @ motions.stiffness @ free
+    matrix = matrix + far_above(matrix) * rows
+    count = lambda: _negative(0.5 * (matrix + matrix.T)).astype(jnp.int32)
+    odd = lambda: (jnp.linalg.slogdet(matrix)[0] < 0).astype(jnp.int32)
+    return lax.cond(even, count, odd)

@@ -1,6 +1,8 @@
 """Starts that are refused, each for its own reason, and the neighbours that are not."""
 
+import contextlib
 import dataclasses
+import re
 
 import jax
 import jax.numpy as jnp
@@ -12,11 +14,12 @@ from rodjax.consistency import start
 from rodjax.ends import AbstractEnd, Clamped, Free, Pinned, Slider, Switched, Turn
 from rodjax.fixed_rollout import rollout
 from rodjax.load_path import equilibrium, placing
-from rodjax.loads import Gravity, LinearDrag
+from rodjax.loads import Gravity, LinearDrag, PointLoad
 from rodjax.results import Result
+from rodjax.rigid_motions import check_held
 from rodjax.rod import Section, circular_section, curved_rod, straight_rod
 from rodjax.scene import Scene
-from rodjax.schedules import AbstractSchedule
+from rodjax.schedules import AbstractSchedule, Constant
 from rodjax.small_vibration import vibration
 from rodjax.start_checks import check_held_once, check_single_precision, check_spin, least_hold
 
@@ -54,7 +57,8 @@ def straight(direction=(0, 0, 1), length=1.0, n=N, **section):
 def arc(angle, **given):
     """An arc that turns by `angle` on either side of its chord."""
     radius = 0.5 / angle
-    curve = lambda s: (radius * np.sin(s / radius), 0.0, radius * (1 - np.cos(s / radius)))
+    # 1 - cos would round away the smallest of angles
+    curve = lambda s: (radius * np.sin(s / radius), 0.0, 2 * radius * np.sin(s / radius / 2) ** 2)
     section = Section((1.0, 1.0, 0.8), mass=1.0, rotary_inertia=(1e-3, 1e-3, 2e-3))
     return curved_rod(curve, 1.0, N, section, **given)
 
@@ -157,6 +161,34 @@ def test_single_precision_needs_more_of_a_curve():
                 start(scene)
         else:
             check_held_once(scene, placing(scene))
+
+
+@pytest.mark.parametrize("kind", [jnp.float32, jnp.float64])
+def test_the_angle_that_is_asked_for_is_enough(kind):
+    rod = lambda angle: jax.tree.map(lambda leaf: leaf.astype(kind), arc(angle))
+    scene = Scene(rod(1e-9), PIN, PIN)
+    with pytest.raises(ValueError, match="root mean square") as refused:
+        check_held_once(scene, placing(scene))
+    asked = float(re.search(r"more than (\S+) rad", str(refused.value))[1])
+    # the angles of an arc are spread evenly from one side of the chord to the other
+    for factor in (0.9, 1.1):
+        scene = Scene(rod(factor * asked * 3**0.5), PIN, PIN)
+        with pytest.raises(ValueError, match=TWICE) if factor < 1 else contextlib.nullcontext():
+            check_held_once(scene, placing(scene))
+
+
+@pytest.mark.parametrize("kind", [jnp.float32, jnp.float64])
+def test_a_bent_pendulum_spins_about_the_vertical(kind):
+    bent = jax.tree.map(lambda leaf: leaf.astype(kind), arc(0.4))
+    # in no direction of the axes, so that single precision rounds
+    weight = jnp.asarray([1.0, 2.0, -3.0], kind)
+    for loads, message in (((Gravity(weight),), "1 rigid motion"), ((), "3 rigid motion")):
+        scene = Scene(bent, PIN, Free(), loads)
+        with pytest.raises(ValueError, match=message):
+            check_held(scene, placing(scene))
+    side = PointLoad(-1, Constant(jnp.asarray([0.0, 1e-3, 0.0], kind)), follower=True)
+    scene = Scene(bent, PIN, Free(), (Gravity(weight), side))
+    assert check_held(scene, placing(scene)).loads
 
 
 def dna(rotary):

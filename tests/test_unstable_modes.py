@@ -7,6 +7,9 @@ import numpy as np
 import pytest
 
 from rodjax.balance import Internal
+from rodjax.contact import Contact
+from rodjax.contact_laws import Penalty
+from rodjax.coupled import find_nearby
 from rodjax.ends import Clamped, Free, Pinned, Slider
 from rodjax.load_path import placing
 from rodjax.loads import PointLoad
@@ -23,12 +26,12 @@ ELEMENTS = 40
 def counted(scene, state, levels):
     """Modes of an equilibrium whose eigenvalues lie below minus the levels (0: unstable ones)."""
     zero = jnp.zeros_like(state.position)
-    one = jnp.ones(())
+    one = jnp.ones((), zero.dtype)
     ramp = Ramp(one, Internal(zero, zero, jnp.zeros_like(state.force)))
     equations = StaticEquations(scene, state, state.position, state.quaternion, one, one, ramp)
     levels = levels + neutral(scene, state.force)
     added = levels[:, None, None] * moving_weight(scene)[None]
-    return count_below(equations, equations.guess(state.force), added)
+    return count_below(equations, equations.guess(state.force), added, len(levels))
 
 
 def pressed(first, last, thrust, compliance=None):
@@ -76,3 +79,18 @@ def test_columns_have_two_modes_more_beyond_each_critical_thrust(ends, complianc
             scene, state = pressed(first, last, factor * thrust * np.pi**2, compliance)
             found = counted(scene, state, jnp.zeros(1))
             assert int(found[0]) == modes, (factor, thrust)
+
+
+@pytest.mark.parametrize("kind", [jnp.float32, pytest.param(jnp.float64, marks=pytest.mark.slow)])
+def test_a_column_between_two_clamps_whose_parts_are_near(kind):
+    """Near parts of a rod have modes counted otherwise; two clamps hold its length twice."""
+    rod = straight_rod(1.0, 8, Section((1.0, 1.0, 0.8), mass=1.0, diameter=0.02))
+    near = Contact(Penalty(1.0), segments=8, cutoff=0.3, exclusion=0.3)
+    scene = Scene(rod, Clamped(), Clamped(), contact=near)
+    cast = lambda leaf: leaf.astype(kind) if eqx.is_inexact_array(leaf) else leaf
+    scene, state = jax.tree.map(cast, (scene, placing(scene)))
+    assert int(find_nearby(scene, state.position).near.level) > 0
+    for factor, modes in ((0.85, 0), (1.15, 2)):
+        thrust = jnp.asarray([0.0, 0.0, factor * 4 * np.pi**2], kind)
+        pressed = eqx.tree_at(lambda s: s.force, state, state.force - thrust)
+        assert int(counted(scene, pressed, jnp.zeros(1, kind))[0]) == modes
