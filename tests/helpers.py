@@ -42,6 +42,16 @@ def slow(value):
     return pytest.param(value, marks=pytest.mark.slow)
 
 
+def primitives(jaxpr):
+    """Every equation of a traced program, those of loops and branches among them."""
+    for equation in jaxpr.eqns:
+        yield equation
+        inner = lambda leaf: hasattr(leaf, "jaxpr") or hasattr(leaf, "eqns")
+        for leaf in jax.tree.leaves(list(equation.params.values()), is_leaf=inner):
+            if inner(leaf):
+                yield from primitives(getattr(leaf, "jaxpr", leaf))
+
+
 def time(value) -> jax.Array:
     """A time as an array, which no second value makes a jitted function be traced again for."""
     return jnp.asarray(value, float)
