@@ -24,7 +24,9 @@ from rodjax.framing import (
     first_frame,
     grid,
     module_of,
+    multiply,
     of_one_sign,
+    shortest,
     vector,
 )
 from rodjax.results import ModelWarning
@@ -64,6 +66,9 @@ __all__ = [
     "sample",
     "straight_rod",
 ]
+
+# by these names scripts made placings of their own before there was `framing`
+_frame, _shortest, _multiply = first_frame, shortest, multiply
 
 
 def _as_frames(value) -> Any:

@@ -57,6 +57,7 @@ def writhe(
         side by side the same way (opposite `start_direction` and `end_direction`) have no writhe
         in the limit: give them a length.
     """
+    positions = jnp.asarray(positions)
     edges = positions[1:] - positions[:-1]
     length = jnp.sum(jnp.linalg.norm(edges, axis=1))
     # pairs without an angle count as zero: where vertices are no numbers, neither is the writhe
@@ -67,8 +68,10 @@ def writhe(
         pairs = _sum_over_pairs(vertices, jnp.roll(vertices, -1, axis=0), closed)
         pairs = pairs + unknown
         return _with_local_derivative(pairs, jnp.concatenate([edges, edges[:1]])) / jnp.pi
-    start = edges[0] / jnp.linalg.norm(edges[0]) if start_direction is None else start_direction
-    end = edges[-1] / jnp.linalg.norm(edges[-1]) if end_direction is None else end_direction
+    along = lambda edge, given: (
+        edge / jnp.linalg.norm(edge) if given is None else jnp.asarray(given)
+    )
+    start, end = along(edges[0], start_direction), along(edges[-1], end_direction)
     pairs = _sum_over_pairs(vertices[:-1], vertices[1:], closed) + unknown
     there = jnp.concatenate([start[None, :], edges, end[None, :]])
     if extension is None:
@@ -116,10 +119,10 @@ def twist(
     frames, directions = [element_frames], [positions[1:] - positions[:-1]]
     if start_frame is not None:
         frames.insert(0, start_frame[None, :])
-        directions.insert(0, rotations.tangent_director(start_frame)[None, :])
+        directions.insert(0, rotations.tangent_director(jnp.asarray(start_frame))[None, :])
     if end_frame is not None:
         frames.append(end_frame[None, :])
-        directions.append(rotations.tangent_director(end_frame)[None, :])
+        directions.append(rotations.tangent_director(jnp.asarray(end_frame))[None, :])
     return _ribbon_twist(jnp.concatenate(directions), jnp.concatenate(frames), signed)
 
 
@@ -157,11 +160,14 @@ def linking_number(
     frame the extension at that end follows the first or last segment. Returns the linking
     number [turns].
     """
+    tangent = lambda frame: (
+        None if frame is None else rotations.tangent_director(jnp.asarray(frame))
+    )
     coiling = writhe(
         positions,
         extension=extension,
-        start_direction=None if start_frame is None else rotations.tangent_director(start_frame),
-        end_direction=None if end_frame is None else rotations.tangent_director(end_frame),
+        start_direction=tangent(start_frame),
+        end_direction=tangent(end_frame),
     )
     return twist(positions, element_frames, start_frame=start_frame, end_frame=end_frame) + coiling
 
