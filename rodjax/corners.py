@@ -74,11 +74,19 @@ def _jumps(kind, schedule, corners, widths, span) -> Bool[np.ndarray, " c"]:
 def warn_of_corners(scene: Scene, start: float, times: Float[np.ndarray, " k"]) -> None:
     """ModelWarning where corners of schedules fall inside steps."""
     for name, corner in corners_inside(scene, start, times).items():
-        what = "load" if name.startswith("loads") else "drive's velocity"
+        load = name.startswith("loads")
+        what = "load" if load else "drive's velocity"
+        # after a jump of a load the scheme's accelerations need some steps to be right again
+        mend = (
+            "end a step there and take short ones after it, or use the times of an adaptive run,"
+            " adaptive_rollout(scene, state, end).times[1:]"
+            if load
+            else "end steps at the schedule's corners, as the adaptive rollout does:"
+            " np.union1d(times, scene.corners)"
+        )
         warnings.warn(
             f"{name}: the {what} jumps at t = {corner:.10g}, inside a step, which makes the motion"
-            " first order; end steps at the schedule's corners, as the adaptive rollout does:"
-            " np.union1d(times, scene.corners)",
+            f" first order; {mend}",
             ModelWarning,
             stacklevel=3,
         )

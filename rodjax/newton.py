@@ -34,7 +34,7 @@ SOLUTION = "newton_solution"
 _HELD = 0.2
 
 # How many increments may fail to shrink before a step is given up, to be tried again by a shorter.
-_PATIENCE = 4
+PATIENCE = 4
 
 
 class NewtonInfo(NamedTuple):
@@ -55,7 +55,7 @@ class _Loop(NamedTuple):
 
 
 def iterate(
-    equations, x, tolerance, max_iterations, patience: int = _PATIENCE
+    equations, x, tolerance, max_iterations, patience: int = PATIENCE
 ) -> tuple[Any, NewtonInfo]:
     """Newton's iteration. Stops on the error PREDICTED after an update from two successive ones.
 
@@ -123,7 +123,7 @@ def _updated(equations, loop: _Loop, dx, tolerance, growth=1.0) -> _Loop:
     )
 
 
-def _unfinished(loop: _Loop, max_iterations, patience: int = _PATIENCE):
+def _unfinished(loop: _Loop, max_iterations, patience: int = PATIENCE):
     going = ~loop.converged & loop.finite & (loop.iterations < max_iterations)
     return going & (loop.slow < patience)
 

@@ -58,9 +58,10 @@ _DESCENT, _DISTURBANCES, _DISTURBANCE = 400, 3, 1e-2
 # How often the last step is repeated at most for a spin that no end holds.
 _REPEATS = 100
 
-# Increments that may fail to shrink in an attempt. Strands that touch slide along each other, and
-# by turns make up for what that costs in length: Newton's method needs few iterations, but not ever
-# smaller ones, and a shorter step of the path would not change that.
+# Increments that may fail to shrink in an attempt with contact. Strands that touch slide along each
+# other, and by turns make up for what that costs in length: Newton's method needs few iterations,
+# but not ever smaller ones, and a shorter step of the path would not change that. (Without contact
+# so much patience may lead to a branch far away.)
 _PATIENCE = 12
 
 # Number of unstable modes before any was counted: of the start, and of states that are not.
@@ -122,6 +123,7 @@ def follow(
     smallest, near = first * 0.5 ** (_HALVINGS + 0.5), first * 0.5 ** (_NEAR + 0.5)
     when = lambda reached: state.time + reached * (stop - state.time)
     weight, norm = resisting_weight(scene), moving_weight(scene)
+    patience = newton.PATIENCE if scene.contact is None else _PATIENCE
     elastic = jnp.mean(scene.rod.stiffness[:, :2]) / jnp.sum(scene.rod.length) ** 2
     spinning = spin_resistance(scene)
 
@@ -166,7 +168,7 @@ def follow(
         trial = equations(target, reference, sigma, path.repeats.astype(path.x.dtype))
         # the first time round only the start's modes are counted
         most = jnp.where(opening, 0, max_iterations)
-        x, solved = newton.iterate(trial, trial.guess(force), tolerance, most, _PATIENCE)
+        x, solved = newton.iterate(trial, trial.guess(force), tolerance, most, patience)
         code = lambda bad, which: jnp.where(bad, which, Result.SUCCESS)
         result = results.join(
             solved.result,

@@ -26,6 +26,7 @@ from rodjax.coupled import Coupling, couple, find_nearby
 from rodjax.eigenvalues import far_above, split
 from rodjax.loads import NodeMotion
 from rodjax.scene import Scene, projectors
+from rodjax.signs import determinant_signs, negative_eigenvalues
 from rodjax.statics import StaticEquations, load_tangent
 
 # Rows of a block in the order of its columns: (force, constraint, moment).
@@ -133,14 +134,6 @@ def _asymmetry(equations: StaticEquations, blocks: BlockTridiagonal) -> Float[Ar
     return jnp.maximum(jnp.max(jnp.abs(diagonal)), jnp.max(jnp.abs(upper)))
 
 
-def _negative(matrix: Float[Array, "*b k k"]) -> Int[Array, " *b"]:
-    """Number of negative eigenvalues of symmetric matrices, which a scaling leaves."""
-    scale = jnp.sqrt(jnp.max(jnp.abs(matrix), -1, keepdims=True))
-    scale = jnp.where(scale > 0, scale, 1.0)
-    scaled = matrix / scale / jnp.swapaxes(scale, -1, -2)
-    return jnp.sum((jnp.linalg.eigvalsh(scaled) < 0).astype(jnp.int32), -1)
-
-
 def _eliminated(
     equations: StaticEquations, blocks: BlockTridiagonal, added, even: Bool[Array, ""]
 ) -> Int[Array, ""]:
@@ -168,11 +161,17 @@ def _eliminated(
         ]
     )
     expected = 3 * scene.rod.elements + 12
-    turned = lambda matrix: 0.5 * (matrix + jnp.swapaxes(matrix, -1, -2))
-    count = jnp.sum(_negative(turned(factors.inverse))) + _negative(turned(border)) - expected
-    sign = jnp.prod(jnp.linalg.slogdet(factors.inverse)[0]) * jnp.linalg.slogdet(border)[0]
-    odd = sign * (-1) ** expected < 0
-    return jnp.where(even, count.astype(jnp.int32), odd.astype(jnp.int32))
+
+    def count():
+        turned = lambda matrix: 0.5 * (matrix + jnp.swapaxes(matrix, -1, -2))
+        pivots = jnp.sum(negative_eigenvalues(turned(factors.inverse)), dtype=jnp.int32)
+        return pivots + negative_eigenvalues(turned(border)[None])[0] - expected
+
+    def odd():
+        sign = jnp.prod(determinant_signs(factors.inverse)) * determinant_signs(border[None])[0]
+        return (sign * (-1) ** expected < 0).astype(jnp.int32)
+
+    return lax.cond(even, count, odd)
 
 
 def _reduced(
@@ -202,6 +201,6 @@ def _reduced(
     _, rows, free = split(motions.ends)
     matrix = free @ motions.stiffness @ free
     matrix = matrix + far_above(matrix) * rows
-    count = lambda: _negative(0.5 * (matrix + matrix.T)).astype(jnp.int32)
-    odd = lambda: (jnp.linalg.slogdet(matrix)[0] < 0).astype(jnp.int32)
+    count = lambda: negative_eigenvalues(0.5 * (matrix + matrix.T)[None])[0]
+    odd = lambda: (determinant_signs(matrix[None])[0] < 0).astype(jnp.int32)
     return lax.cond(even, count, odd)

@@ -1,22 +1,10 @@
 """Settings of every test: double precision, nothing promoted unsaid, no display."""
 
 import gc
-import importlib.metadata
 import os
-
-# the solves are small: LAPACK's threads would only compete with the tests of the other worker
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-
-# most of the tests' time is compilation: see rodjax/compilation.py (the last flag went with 0.12);
-# without LLVM's optimisation it takes three quarters of the time, and small scenes run fast enough
-os.environ.setdefault("XLA_FLAGS", "")
-os.environ["XLA_FLAGS"] += " --xla_disable_hlo_passes=tree_reduction_rewriter"
-os.environ["XLA_FLAGS"] += " --xla_backend_optimization_level=0"
-if tuple(map(int, importlib.metadata.version("jaxlib").split(".")[:2])) < (0, 12):
-    os.environ["XLA_FLAGS"] += " --xla_cpu_use_fusion_emitters=false"
-
 from pathlib import Path
 
+import compiler_flags  # noqa: F401
 import jax
 import jaxtyping
 import pytest

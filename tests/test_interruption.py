@@ -103,6 +103,7 @@ def test_a_rollout_keeps_what_was_saved(whole, state, steady):
         assert partial.infos.iterations.shape == (every * saved,)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("call", [0, 3, 9])
 def test_an_adaptive_run_goes_on_from_where_it_was_stopped(whole, state, steady, call):
     """Within a chunk too; what was accepted of it is given to `on_chunk`."""

@@ -275,6 +275,7 @@ def test_newer_format_is_refused(example, tmp_path):
         storage.load(tmp_path / "run.h5")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("stop_after", [1, 3])
 def test_interrupted_run_goes_on_bit_for_bit(example, tmp_path, stop_after):
     """Ctrl-C between two chunks: the parts seen so far are a run that can be stored and resumed.
@@ -305,6 +306,7 @@ def assert_same_motion(a, b):
     assert_identical(pick(a), pick(b))
 
 
+@pytest.mark.slow
 def test_run_stopped_anywhere_goes_on_bit_for_bit(example, tmp_path):
     """A stop that is not at a multiple of the chunk: boundaries of chunks do not matter."""
     scene, whole = example
@@ -319,6 +321,7 @@ def test_run_stopped_anywhere_goes_on_bit_for_bit(example, tmp_path):
 STOPS = [(0.4,), (0.1, 0.25), (0.39, 0.41, 0.9), (0.2, 0.2000001)]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("stops", STOPS, ids=str)
 def test_a_resumed_run_does_not_depend_on_where_it_was_cut(example, tmp_path, stops):
     """Steps shortened to end on an end time are made anew by what goes on from there."""
