@@ -267,7 +267,7 @@ def compile_adaptive_rollout(
         return
     control, dtype = StepControl(), state.position.dtype
     if scene.contact is not None:
-        passages.linking_number(state)
+        passages.linking_number(scene, state)
     state = prepare(scene, state)
     method = GeneralizedAlpha() if method is None else method
     memory, tolerances = begin(control, 1.0, dtype), tolerances_of(control, dtype)

@@ -7,7 +7,7 @@ import jax.core
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from rodjax import balance, contact_forces, energy, rotations, topology
 from rodjax.argument_types import AnyArray
@@ -120,18 +120,44 @@ class Linking(NamedTuple):
 def linking(scene: Scene, run: Run, extension: float | None = None) -> Linking:
     """Twist, writhe and applied turns over the saved states of a run (one state at a time).
 
-    The drives are those of the scene; `extension` is that of `topology.writhe` [m].
+    The drives are those of the scene; `extension` is that of `topology.writhe` [m]. The writhe of a
+    ring (`scene.closed`) is that of its closed line: extensions would cross where its ends meet.
     """
-
     applied = jax.vmap(lambda t: turns(scene, t, run.times[0]))(run.times)
-    twists, integrals, writhes = _topology(scene.rod, run.states, extension)
+    twists, integrals, writhes = _topology(scene, run.states, extension)
     return Linking(run.times, twists, integrals, writhes, applied)
 
 
 @compiled
-def _topology(rod, states, extension):
-    one = lambda s: (twist(s), twist_eq15(rod, s), writhe(s, extension))
+def _topology(scene, states, extension):
+    closed = scene.closed
+    one = lambda s: (twist(s), twist_eq15(scene.rod, s), writhe_of(closed, s, extension))
     return lax.map(one, states)
+
+
+# Length of that edge over the shortest of the polygon.
+_EDGE = 1e-5
+
+
+def writhe_of(
+    closed: bool | Bool[Array, ""],
+    state: State,
+    extension: Float[Array, ""] | float | None = None,
+) -> Float[Array, ""]:
+    """Writhe of a state: of the closed line where `closed`, else extended straight at both ends."""
+    if closed is False:
+        return writhe(state, extension)
+
+    def ring():
+        # a short edge along the tangent where the ends meet, which the twist begins and ends with
+        inner = state.position[1:-1]
+        edges = jnp.diff(state.position, axis=0)
+        short = _EDGE * jnp.min(jnp.sqrt(jnp.sum(edges**2, 1)))
+        along = short * rotations.tangent_director(state.quaternion[0])
+        junction = state.position[:1] + jnp.stack([-along, along])
+        return topology.writhe(jnp.concatenate([junction[1:], inner, junction[:1]]), closed=True)
+
+    return lax.cond(closed, ring, lambda: writhe(state, extension))
 
 
 @compiled

@@ -24,9 +24,9 @@ _SIDE_BY_SIDE = -0.99
 
 
 @compiled
-def linking_number(state: State) -> Float[Array, ""]:
-    """Lk = Tw + Wr of a state, extended straight at both ends [turns]."""
-    return measures.twist(state) + measures.writhe(state)
+def linking_number(scene: Scene, state: State) -> Float[Array, ""]:
+    """Lk = Tw + Wr of a state, extended straight at both ends unless the rod is a ring [turns]."""
+    return measures.twist(state) + measures.writhe_of(scene.closed, state)
 
 
 def passed_unseen(scene: Scene, before: State, after: State) -> bool:
@@ -40,7 +40,7 @@ def passed_unseen(scene: Scene, before: State, after: State) -> bool:
         return False
     applied = 0.0
     tangents = np.asarray(rotations.tangent_director(after.quaternion[jnp.asarray([0, -1])]))
-    if tangents[0] @ tangents[1] < _SIDE_BY_SIDE:
+    if tangents[0] @ tangents[1] < _SIDE_BY_SIDE and not bool(scene.closed):
         return False
     for time in (before.time, after.time):
         turning = np.asarray(projectors(scene, time))[:, 3:, 3:]
@@ -54,7 +54,7 @@ def passed_unseen(scene: Scene, before: State, after: State) -> bool:
             return False
         angle = end.rotation.angle(after.time) - end.rotation.angle(before.time)
         applied += sign * along * float(angle) / (2 * np.pi)
-    change = float(linking_number(after)) - float(linking_number(before))
+    change = float(linking_number(scene, after)) - float(linking_number(scene, before))
     return abs(change - applied) > _ALLOWED
 
 
