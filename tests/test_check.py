@@ -238,6 +238,7 @@ def test_contact_of_solids_has_no_tail_and_may_be_light():
     assert found(coarse, 1e-3) == {}
 
 
+@pytest.mark.slow
 def test_a_mode_that_costs_nothing_is_not_unstable():
     """The plane of a buckled isotropic column between a clamp and a slider turns freely."""
     rod = straight_rod(1.0, 10, dataclasses.replace(UNIT_SECTION, stiffness=(1.0, 1.0, 1.0)))

@@ -137,6 +137,7 @@ def test_ripple_of_the_force_is_under_two_percent(name):
     assert np.ptp(force) < 0.02 * np.mean(force)
 
 
+@pytest.mark.slow
 def test_force_does_not_depend_on_the_division():
     totals = []
     for segments, points in ((48, 4), (96, 2), (96, 6)):

@@ -115,6 +115,7 @@ def test_every_size_of_solver_gives_the_same_increment(bent):
     np.testing.assert_allclose(found[1], found[0], atol=1e-12)
 
 
+@pytest.mark.slow
 def test_capacity_overflow_is_reported(bent):
     scene, state, _ = bent
     small = eqx.tree_at(

@@ -119,6 +119,7 @@ def test_the_alarm_for_passages_lets_a_straight_rod_be():
     assert float(measures.twist(found.final)) == pytest.approx(8.0, abs=1e-9)
 
 
+@pytest.mark.slow
 def test_an_end_that_is_not_where_its_schedule_puts_it():
     """A function that reads what changes: the compiled steps know its first value only."""
     speed = [1.0]

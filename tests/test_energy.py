@@ -152,6 +152,7 @@ def test_reactions_only_where_an_end_constrains():
     np.testing.assert_array_equal([loose.force[0], loose.torque[0]], 0)
 
 
+@pytest.mark.slow
 def test_weight_of_a_hanging_rod():
     """The pin carries the weight and the load on the end."""
     scene = hanging((0.0, 0.0, 1.0), [0.0, 0.0, 2.0])

@@ -12,6 +12,7 @@ import h5py
 import jupytext
 import numpy as np
 import pytest
+from helpers import slow
 from nbclient import NotebookClient
 
 from rodjax import storage
@@ -52,6 +53,7 @@ def quick(tmp_path_factory):
     return out, text, json.loads((out / "summary.json").read_text())
 
 
+@pytest.mark.slow
 def test_quick_run_is_right(quick):
     _, _, summary = quick
     assert set(summary) >= KEYS
@@ -168,6 +170,7 @@ def test_presets_turn_as_described(name, turns):
     np.testing.assert_allclose(scene.rod.stiffness[:, 0] / scene.rod.stiffness[:, 2], 1.25)
 
 
+@pytest.mark.slow
 def test_notebook_runs():
     folder = ROOT / "notebooks"
     notebook = jupytext.read(folder / "intertwining.py")
@@ -226,7 +229,7 @@ def test_peak_memory_is_that_of_the_process_itself():
     assert 100 < float(child.stdout) < 300
 
 
-@pytest.mark.parametrize("block", (0, 1), ids=("use", "fit"))
+@pytest.mark.parametrize("block", (0, slow(1)), ids=("use", "fit"))
 def test_readme_runs_when_pasted(tmp_path, block):
     text = (ROOT / "README.md").read_text()
     script = tmp_path / "pasted.py"

@@ -105,6 +105,7 @@ def test_outside_traced_code_it_is_the_same(runs, every):
     assert np.isfinite(energy.ledger(scene, partial).residual).all()
 
 
+@pytest.mark.slow
 def test_measures_of_a_failed_run(runs):
     """None of them has a plausible number where the run has none."""
     run = runs[5][0]
@@ -147,6 +148,7 @@ def test_an_event_before_the_failure_is_kept():
     assert np.isnan(jax.grad(lambda a: measures.first_crossing(times, a * values, 4.0))(1.0))
 
 
+@pytest.mark.slow
 def test_contact_forces_of_what_is_not_a_number():
     rod = hairpin()
     scene = Scene(rod, Clamped(), contact=Contact(Barrier(1e6), 24, 0.1, pairs_per_segment=8))
@@ -167,6 +169,7 @@ def runless(states):
     return Run(states, infos, zero, zero, zero)
 
 
+@pytest.mark.slow
 def test_windows_that_fail_are_not_numbers_and_the_others_go_on():
     scene = breaking(5)
     whole = rollout(scene, start(scene), TIMES[:4], throw=False)

@@ -65,6 +65,7 @@ def in_si():
     return rollout(scene, state, times, PRECISE), adaptive_rollout(scene, state, 0.3, PRECISE)
 
 
+@pytest.mark.slow
 # the grid is coarse in any units, and the runs say so
 @pytest.mark.filterwarnings("ignore::rodjax.results.ModelWarning")
 @pytest.mark.parametrize("name", ["nm pN us", slow("Mm GN ks")])

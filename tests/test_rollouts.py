@@ -57,6 +57,7 @@ def test_slider_is_held_from_its_time_on(held):
     assert np.all(np.delete(loss, at) == 0)
 
 
+@pytest.mark.slow
 def test_projection_loss_is_the_kinetic_energy_lost(held):
     scene, run = held
     before = run.nearest(0.3)

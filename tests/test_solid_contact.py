@@ -267,6 +267,7 @@ def overcome():
     return scene, rx.start(scene), jnp.linspace(0, 1.0, 81)[1:]
 
 
+@pytest.mark.slow
 def test_a_penalty_too_weak_is_said_to_be_overcome(overcome):
     """In the step in which it is, outside traced code and in it."""
     scene, state, times = overcome

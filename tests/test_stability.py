@@ -154,6 +154,7 @@ def test_shear_lowers_the_frequency_as_timoshenko_says():
     np.testing.assert_allclose(vibration(scene, placing(scene)).frequency[0], np.pi / 2, rtol=1e-3)
 
 
+@pytest.mark.slow
 def test_derivative_of_an_eigenvalue():
     scene, state = column(12, 1.0)
     (direction,) = [np.random.default_rng(0).normal(size=scene.rod.stiffness.shape)]

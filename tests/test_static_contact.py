@@ -47,6 +47,7 @@ def test_contact_carries_the_load(found):
     assert gap(through) < 0 < 0.4 * DIAMETER < gap(state) < 0.08
 
 
+@pytest.mark.slow
 def test_strands_pressed_together_are_unstable_sideways(found):
     """Repulsion holds strands apart, and pressed together they would slip off each other."""
     scene, state, info, _ = found
@@ -60,6 +61,7 @@ def test_strands_pressed_together_are_unstable_sideways(found):
     assert stability(free, alone).stable
 
 
+@pytest.mark.slow
 def test_either_end_may_be_held(found):
     """The mirror image, whose system is solved through the cantilever of the other end."""
     _, state, _, _ = found

@@ -60,6 +60,7 @@ def operations(text):
     return len(re.findall(r"^\s*%\S+ = ", text, re.MULTILINE))
 
 
+@pytest.mark.slow
 def test_only_contact_traces_the_files_of_contact(programs):
     assert files(programs["contact"]) >= CONTACT
     for name in SCENES.keys() - {"contact"}:
