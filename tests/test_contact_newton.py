@@ -20,6 +20,7 @@ from rodjax.stepping import step
 finer_and_coarser = pytest.mark.parametrize("bent", [slow(24), 14], indirect=True)
 
 
+@pytest.mark.slow
 @finer_and_coarser
 def test_newton_system_is_the_exact_derivative(bent):
     scene, state, near = bent
