@@ -22,6 +22,7 @@ from rodjax.validation import (
     as_float,
     as_float_or_none,
     as_traced,
+    check_arrays_of_numbers,
     check_finite,
     check_flag,
     check_not_negative,
@@ -254,6 +255,7 @@ class DistributedLoad(AbstractLoad):
 
     def __check_init__(self):
         check_function(function=self.function)
+        check_arrays_of_numbers(parameters=self.parameters)
 
     def wrench(self, rod, motion):
         per_length = self.function(self.parameters, rod.arc_length, motion)

@@ -209,6 +209,14 @@ def check_integer(low: int, high: int = LARGEST, **values) -> None:
             )
 
 
+def check_arrays_of_numbers(**trees) -> None:
+    """Raise ValueError if a pytree holds an array of texts, dates or objects."""
+    for name, tree in trees.items():
+        for leaf in jax.tree.leaves(tree):
+            if isinstance(leaf, np.ndarray) and leaf.dtype.kind not in "biufc":
+                raise ValueError(f"{name}: give arrays of numbers; got {shown(leaf)}")
+
+
 def check_flag(**values) -> None:
     """Raise ValueError unless each is True or False."""
     for name, value in values.items():

@@ -228,7 +228,7 @@ CATALOGUE = {
         lambda **k: scene(loads=(rx.DistributedLoad(**k),)),
         {
             "function": (push, perhaps_a_function),
-            "parameters": (1.0, lambda v: True),
+            "parameters": (1.0, lambda v: getattr(v, "dtype", np.dtype(float)).kind in "biufc"),
         },
     ),
     "GeneralizedAlpha": (

@@ -32,7 +32,7 @@ def real_array(value):
 
 
 def extreme(array):
-    size = np.abs(array[array != 0])
+    size = np.abs(array[array != 0].astype(float))
     return bool(np.any((size > 1e20) | (size < 1e-20)))
 
 

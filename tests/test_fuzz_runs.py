@@ -37,6 +37,8 @@ def random_scene(draw, kind):
     return rx.Scene(rod, *ends, loads=loads)
 
 
+# what the grid does not resolve is said, and is no fault
+@pytest.mark.filterwarnings("ignore::rodjax.results.ModelWarning")
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", ["hung", "driven", "pulled"])
 def test_short_runs_end_well_or_with_a_code(kind):
