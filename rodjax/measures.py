@@ -144,7 +144,13 @@ def writhe_of(
     state: State,
     extension: Float[Array, ""] | float | None = None,
 ) -> Float[Array, ""]:
-    """Writhe of a state: of the closed line where `closed`, else extended straight at both ends."""
+    """Writhe of a state: of the closed line of a ring, else extended straight at both ends [-].
+
+    Args:
+        closed: whether the state is one of a ring, as `scene.closed` tells.
+        state: one state.
+        extension: that of `topology.writhe` [m], without meaning for a ring.
+    """
     if closed is False:
         return writhe(state, extension)
 
