@@ -127,7 +127,7 @@ def twist(
 
 
 def twist_integral(
-    curvature: Float[AnyArray, "elements 3"], lengths: Float[Array, "elements"]
+    curvature: Float[AnyArray, "elements 3"], lengths: Float[AnyArray, "elements"]
 ) -> Float[Array, ""]:
     """Twist as the integral Tw = 1/(2 pi) int kappa . t ds, Eq. (15) of Goyal, Perkins & Lee.
 
