@@ -306,10 +306,10 @@ def sites(contact: Contact, rod: Rod, closed: bool | Bool[Array, ""] = False) ->
     return Sites(chosen, weight, s, spacing, rod.diameter[at], mass, around)
 
 
-def along(where: Sites, a, b):
-    """Distance along the rod between places on it [m]."""
-    direct = jnp.abs(b - a)
-    return direct if where.around is None else jnp.minimum(direct, where.around - direct)
+def along(where: Sites, a, b, xp=jnp):
+    """Distance along the rod between places on it [m], by numpy or jax.numpy."""
+    direct = xp.abs(b - a)
+    return direct if where.around is None else xp.minimum(direct, where.around - direct)
 
 
 def _lagrange(nodes: Float[Array, "j k"], s: Float[Array, "j 1"]) -> Float[Array, "j k"]:

@@ -25,7 +25,7 @@ from scipy.spatial import KDTree
 from rodjax import newton
 from rodjax.batching import only_where
 from rodjax.compilation import compiled
-from rodjax.contact import Contact, Sites, interpolate, sites
+from rodjax.contact import Contact, Sites, along, interpolate, sites
 from rodjax.contact_energy import pair_energy
 from rodjax.contact_laws import PairProperties
 from rodjax.coupled import Nearby
@@ -102,9 +102,7 @@ def _between(xp, joints, a, b, where: Sites, contact: Contact) -> _Between:
     length = where.spacing * contact.points_per_segment
     u, v, distance = _closest(xp, *(x for i in (a, b) for x in (joints[i], joints[i + 1])))
     first, second = (a.astype(u.dtype) + u) * length, (b.astype(v.dtype) + v) * length
-    direct = xp.abs(second - first)
-    around = xp.inf if where.around is None else where.around
-    return _Between(first, second, xp.minimum(direct, around - direct), distance)
+    return _Between(first, second, along(where, first, second, xp), distance)
 
 
 class _Limits(NamedTuple):
