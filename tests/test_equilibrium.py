@@ -20,7 +20,7 @@ from rodjax.scene import Scene
 from rodjax.schedules import Constant, PiecewiseLinear
 from rodjax.strains import curvature, strains
 
-GRIDS = (32, 50, 100, 160)
+GRIDS = (32, 56, 100)
 RADIUS = 100.0
 """Radius of the 45-degree bend."""
 

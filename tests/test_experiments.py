@@ -77,6 +77,7 @@ def test_quick_run_is_right(quick):
     assert min(summary["compile_seconds"], summary["run_seconds"]) > 0
 
 
+@pytest.mark.slow
 def test_energy_of_the_twisted_rod_is_the_static_one(quick):
     """Before it buckles: torsion energy M^2/2 int ds/C with M = 2 pi turns / int ds/C."""
     out, _, _ = quick
@@ -91,6 +92,7 @@ def test_energy_of_the_twisted_rod_is_the_static_one(quick):
     assert float(torque) == pytest.approx(angle / compliance, rel=1e-3)
 
 
+@pytest.mark.slow
 def test_quick_run_writes_and_prints_everything(quick):
     out, text, summary = quick
     assert {path.name for path in out.iterdir()} == FIGURES | {"run.h5", "summary.json"}
@@ -106,6 +108,7 @@ def test_quick_run_writes_and_prints_everything(quick):
         assert file["run/states/position"].shape == (summary["steps"] + 1, 61, 3)
 
 
+@pytest.mark.slow
 def test_file_holds_the_scene_and_can_be_resumed(quick):
     out, _, summary = quick
     stored = storage.load(out / "run.h5")

@@ -279,6 +279,7 @@ def test_a_killed_process_leaves_what_it_had_appended(tmp_path):
     assert max(counts) > 3
 
 
+@pytest.mark.slow
 def test_a_real_run_is_recorded_cut_off_and_goes_on_bit_for_bit(tmp_path):
     path = tmp_path / "run.h5"
     first = start(SCENE)

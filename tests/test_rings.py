@@ -29,6 +29,7 @@ def twisted():
     return scene, run
 
 
+@pytest.mark.slow
 def test_turns_go_to_twist_and_writhe(twisted):
     scene, run = twisted
     assert scene.closed and int(run.result) == 0  # no passage is seen where the ends meet
@@ -38,6 +39,7 @@ def test_turns_go_to_twist_and_writhe(twisted):
     np.testing.assert_allclose(found.error, 0.0, atol=1e-6)
 
 
+@pytest.mark.slow
 def test_a_strand_that_passed_through_is_seen_in_a_ring(twisted):
     """A turn of the end that the drive did not make stands for it."""
     scene, run = twisted

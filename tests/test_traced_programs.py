@@ -7,10 +7,10 @@ import jax
 import jax.numpy as jnp
 import pytest
 
-from rodjax.consistency import start
 from rodjax.contact import Contact
 from rodjax.contact_laws import InversePower
 from rodjax.ends import Clamped, Slider, Switched
+from rodjax.load_path import placing
 from rodjax.loads import Gravity, MorisonDrag
 from rodjax.rod import Section, straight_rod
 from rodjax.scene import Scene
@@ -41,7 +41,7 @@ def programs():
     """The traced step of every scene, with the places in the source that made its operations."""
     texts = {}
     for name, scene in SCENES.items():
-        state = prepare(scene, start(scene))
+        state = prepare(scene, placing(scene))
         arrays, rest = eqx.partition((scene, state, jnp.asarray(1e-2)), eqx.is_array)
         # cached parts of programs traced before would name the places that made those
         jax.clear_caches()

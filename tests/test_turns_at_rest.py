@@ -118,6 +118,7 @@ def test_a_cantilever_turned_over_comes_back():
     assert int(info.load_steps) >= 28
 
 
+@pytest.mark.slow
 def test_derivative_by_the_turns():
     """Torque by turns: C 2 pi / L, mapped and differentiated in a caller's program too."""
 

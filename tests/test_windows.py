@@ -20,6 +20,7 @@ def whole():
     return scene, rollout(scene, start(scene), jnp.linspace(0.0, 0.6, 13)[1:])
 
 
+@pytest.mark.slow
 def test_windows_of_a_motion_are_the_motion(whole):
     scene, run = whole
     windows = cut(run, 3)
