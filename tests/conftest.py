@@ -16,77 +16,6 @@ os.environ.setdefault("MPLBACKEND", "Agg")
 
 jax.config.update("jax_enable_x64", True)
 
-# Files not yet tried with strict promotions, or whose own arithmetic still promotes. In all others
-# ranks and types that are not written out are refused, in the test and in the library under it.
-PROMOTING = [
-    "anchored",
-    "arguments",
-    "balance",
-    "block_tridiagonal",
-    "bounds",
-    "branches",
-    "check",
-    "contact",
-    "contact_derivatives",
-    "contact_laws",
-    "contact_newton",
-    "convergence",
-    "damaged_files",
-    "descent",
-    "docstrings",
-    "drives",
-    "equilibrium",
-    "error_vs_runtime",
-    "experiments",
-    "extrapolation",
-    "failure",
-    "fit",
-    "fit_data",
-    "fit_failures",
-    "fit_priors",
-    "fit_settings",
-    "fit_starts",
-    "follower_loads",
-    "free_motion",
-    "free_units",
-    "fuzz_constructors",
-    "fuzz_runs",
-    "hung_cables",
-    "imperfection",
-    "interruption",
-    "loads",
-    "measures",
-    "observations",
-    "paper_scheme",
-    "passages",
-    "peers",
-    "probing",
-    "recorder",
-    "regridding",
-    "resolution",
-    "retraces",
-    "rod",
-    "rollouts",
-    "rotations",
-    "rough_start",
-    "schedules_ends",
-    "screening",
-    "semidiscrete",
-    "stability_map",
-    "starts",
-    "static_contact",
-    "step",
-    "storage",
-    "sweep",
-    "topology",
-    "traced_geometry",
-    "turns_at_rest",
-    "unstable_modes",
-    "validation",
-    "windows",
-    "writhe",
-]
-
 
 @pytest.fixture(autouse=True, scope="module")
 def _few_programs():
@@ -117,9 +46,6 @@ def bent(request):
 
 
 @pytest.fixture(autouse=True, scope="module")
-def _strict_promotions(request):
-    if request.module.__name__.removeprefix("test_") in PROMOTING:
-        yield
-        return
+def _strict_promotions():
     with jax.numpy_rank_promotion("raise"), jax.numpy_dtype_promotion("strict"):
         yield
