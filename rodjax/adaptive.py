@@ -34,6 +34,7 @@ from rodjax.step_control import (
     tolerances_of,
 )
 from rodjax.stepping import StepInfo, advance_to, begin_constraint, no_info, prepare, switching
+from rodjax.unexcited import warn_if_unexcited
 from rodjax.validation import all_known, as_integer, check_instance, check_integer
 
 
@@ -243,6 +244,7 @@ def adaptive_rollout(
     if throw:
         results.raise_if_failed(code, f"after t = {float(run.times[-1]):g}", run)
     warn_if_hopeless(run)
+    warn_if_unexcited(scene, run)
     return run
 
 

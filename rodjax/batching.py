@@ -2,9 +2,9 @@
 
 There a `cond` whose predicate differs from lane to lane runs both branches, and a loop whose length
 differs copies what it carries in every pass. Small loops share the largest of their counts
-(`largest`), rare work is done if any lane needs it (`only_where`), and the costly parts of contact
-one lane after the other (`one_by_one`), each in its own time and in cache, unless no lane is in
-contact.
+(`largest`), rare work is done if any lane needs it (`only_where`), and on CPUs the costly parts of
+contact one lane after the other (`one_by_one`), each in its own time and in cache, unless no lane
+is in contact. An accelerator takes all lanes together: one lane leaves it idle.
 """
 
 from collections.abc import Callable
@@ -43,7 +43,8 @@ def one_by_one(function: Callable, easy: tuple[Callable, Callable] | None = None
     """A function of pytrees whose lanes are mapped in turn where its FIRST argument is batched.
 
     Where only the others are (several right sides of one system) they are mapped together as usual,
-    which leaves what depends on the first alone to be done once.
+    which leaves what depends on the first alone to be done once. So are all where the default
+    backend is not the CPU.
 
     Args:
         easy: (holds, together), both of the function's arguments. If `holds` in every lane, they
@@ -54,7 +55,7 @@ def one_by_one(function: Callable, easy: tuple[Callable, Callable] | None = None
     @inner.def_vmap
     def _rule(axis_size, in_batched, *arguments):
         axes = jax.tree.map(lambda batched: 0 if batched else None, in_batched)
-        if not any(jax.tree.leaves(in_batched[0])):
+        if not any(jax.tree.leaves(in_batched[0])) or jax.default_backend() != "cpu":
             # wrapped again for a `vmap` further out
             out = one_by_one(jax.vmap(function, axes))(*arguments)
         elif easy is None:

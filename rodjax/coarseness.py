@@ -22,7 +22,14 @@ class Turns(NamedTuple):
 
 
 def largest_turns(quaternion: Float[np.ndarray, "*k nodes 4"]) -> Turns:
-    """Parts of the elements' rotation vectors across the tangent and along it."""
+    """Largest parts of the elements' rotation vectors across the tangent and along it."""
+    turns = turns_of_elements(quaternion)
+    bend = np.max(np.linalg.norm(turns[..., :2], axis=-1))
+    return Turns(float(bend), float(np.max(np.abs(turns[..., 2]))))
+
+
+def turns_of_elements(quaternion: Float[np.ndarray, "*k nodes 4"]) -> Float[np.ndarray, "*k n 3"]:
+    """Rotation vectors of the elements in the body frame [rad]."""
     before, after = quaternion[..., :-1, :], quaternion[..., 1:, :]
     # q_i^-1 q_{i+1} in numpy: no length of a run is compiled
     scalar = np.sum(before * after, -1)
@@ -33,8 +40,7 @@ def largest_turns(quaternion: Float[np.ndarray, "*k nodes 4"]) -> Turns:
     )
     size = np.linalg.norm(vector, axis=-1)
     over = 2 * np.arctan2(size, scalar) / np.where(size > 0, size, 1.0)
-    bend = np.max(over * np.linalg.norm(vector[..., :2], axis=-1))
-    return Turns(float(bend), float(np.max(over * np.abs(vector[..., 2]))))
+    return over[..., None] * vector
 
 
 def warn_if_hopeless(run: Run) -> None:

@@ -10,8 +10,8 @@ from rodjax.compilation import compiled
 from rodjax.contact_laws import AbstractLaw, PairProperties
 from rodjax.rod import Rod
 
-# Distances at which a law is tried, from its smallest to the cut-off.
-_TRIED = 64
+# Distances at which a law is tried, from its smallest to the cut-off, and the one tried by itself.
+_TRIED, _ALONE = 64, 7
 
 
 def check_law(law: AbstractLaw, cutoff: Float[Array, ""], rod: Rod) -> None:
@@ -26,7 +26,7 @@ def check_law(law: AbstractLaw, cutoff: Float[Array, ""], rod: Rod) -> None:
     with jax.ensure_compile_time_eval():
         mass = None if rod.mass is None else of_both(np.asarray(rod.mass))
         pair = PairProperties(of_both(np.asarray(rod.diameter)), mass)
-        psi, tried, smallest, extent = _try(law, cutoff, pair)
+        psi, alone, tried, smallest, extent = _try(law, cutoff, pair)
     limit = float(cutoff)
     if extent is not None and limit <= np.max(extent):
         raise ValueError(
@@ -49,6 +49,13 @@ def check_law(law: AbstractLaw, cutoff: Float[Array, ""], rod: Rod) -> None:
             f"law: {type(law).__name__} gives {np.asarray(psi)[wrong][0]} at a distance of"
             f" {np.asarray(tried)[wrong][0]:.4g}; it must be finite from `smallest` to the cut-off"
         )
+    scale, eps = np.max(np.abs(psi)), np.finfo(psi.dtype).eps
+    if not np.allclose(alone, psi[_ALONE], rtol=np.sqrt(eps), atol=eps * scale):
+        raise ValueError(
+            f"law: `{type(law).__name__}.repulsion` gives {np.asarray(alone)[0]:.6g} for a distance"
+            f" alone and {np.asarray(psi)[_ALONE][0]:.6g} for the same among others; a pair's force"
+            " must not depend on other pairs, so write it distance by distance"
+        )
     if not np.any(np.asarray(psi) != 0):
         raise ValueError(
             f"law: {type(law).__name__} gives no force at any distance below the cut-off"
@@ -64,4 +71,6 @@ def _try(law, cutoff, pair):
     parts = jnp.linspace(0.001, 0.999, _TRIED, dtype=low.dtype)[:, None]
     tried = low[None] + parts * (high - low)[None]
     wide = jax.tree.map(lambda v: jnp.broadcast_to(v, tried.shape), pair)
-    return law.repulsion(tried, jnp.zeros_like(tried), wide), tried, smallest, extent
+    among = law.repulsion(tried, jnp.zeros_like(tried), wide)
+    alone = law.repulsion(tried[_ALONE], jnp.zeros_like(tried[_ALONE]), pair)
+    return among, alone, tried, smallest, extent

@@ -27,6 +27,7 @@ from rodjax.run import Run
 from rodjax.scene import Scene
 from rodjax.state import State
 from rodjax.stepping import prepare, step
+from rodjax.unexcited import warn_if_unexcited
 from rodjax.validation import check_instance, check_integer
 
 
@@ -101,6 +102,7 @@ def rollout(
         after = float(times[good - 1]) if good else float(state.time)
         results.raise_if_failed(run.result, f"after t = {after:g}", until_failure(run))
     warn_if_hopeless(run)
+    warn_if_unexcited(scene, run)
     return run
 
 

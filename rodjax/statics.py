@@ -36,6 +36,12 @@ class Ramp(NamedTuple):
     imbalance: Internal
 
 
+def full_load(state: State) -> Ramp:
+    """The end of a path: loads in full, and nothing that a start lacked."""
+    nodes, elements = jnp.zeros_like(state.position), jnp.zeros_like(state.force)
+    return Ramp(jnp.ones_like(state.time), Internal(nodes, nodes, elements))
+
+
 class StaticEquations(eqx.Module):
     """Balance, constraint and ends at rest, in scaled unknowns.
 

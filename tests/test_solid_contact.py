@@ -1,7 +1,9 @@
 """Solids: set up from the load, refused where nothing would hold them, and said to be overcome."""
 
 import dataclasses
+from collections.abc import Callable
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -130,6 +132,15 @@ class Sum(Nothing):
         return jnp.sum(distance)
 
 
+class Shared(Nothing):
+    """A law whose pairs share a force, or know the nearest of them."""
+
+    of: Callable = eqx.field(static=True, default=jnp.sum)
+
+    def repulsion(self, distance, approach, pair):
+        return self.force * distance / self.of(distance)
+
+
 @pytest.mark.parametrize(
     ("law", "cutoff", "message"),
     [
@@ -142,6 +153,10 @@ class Sum(Nothing):
         (Nothing(np.nan), 2 * D, "^law: Nothing gives nan"),
         (Nothing(np.inf), 2 * D, "^law: Nothing gives inf"),
         (Sum(1.0), 2 * D, "^law: `Sum.repulsion` must give one number"),
+        (Shared(1.0), 2 * D, "^law: `Shared.repulsion` gives .* alone .* depend on other pairs"),
+        (Shared(1.0, jnp.max), 2 * D, "^law: `Shared.repulsion` gives .* alone"),
+        (Shared(1.0, jnp.min), 2 * D, "^law: `Shared.repulsion` gives .* alone"),
+        (Shared(1.0, jnp.median), 2 * D, "^law: `Shared.repulsion` gives .* alone"),
         (rx.DebyeHueckel(1.0, 1e-5), 2 * D, "^law: DebyeHueckel gives no force"),
     ],
 )

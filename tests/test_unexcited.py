@@ -1,0 +1,94 @@
+"""Runs that end straight under a load that no rod would bear so say it."""
+
+import warnings
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import rodjax as rx
+from rodjax.results import ModelWarning
+
+AXIS = (0.0, 0.0, 1.0)
+GIVE = 2e-4
+END = 4.0
+STRAIN = GIVE * 4 * np.pi**2  # of a column between clamps at its critical thrust
+CLAMPED_TURNS = 8.98682 / (2 * np.pi * 0.8)  # M L/A = 8.987 between clamps, C = 0.8 A
+
+
+def rod(**changes):
+    """Of unit length, bending stiffness and mass, and a little extensible."""
+    fields = {"mass": 1.0, "compliance": (0.0, 0.0, GIVE)} | changes
+    return rx.straight_rod(1.0, 16, rx.Section((1.0, 1.0, 0.8), **fields))
+
+
+def driven(body, push=0.0, turns=0.0, last=rx.Clamped):
+    """The rod pressed and twisted slowly between ends that are held."""
+    shift = rx.Smooth([0.0, END], [[0.0, 0.0, 0.0], [0.0, 0.0, -push]])
+    turn = rx.Turn(AXIS, rx.Smooth([0.0, END], [0.0, 2 * np.pi * turns]))
+    return rx.Scene(body, rx.Clamped(), last(shift, turn), loads=(rx.LinearDrag(20.0, 20.0, 1.0),))
+
+
+TIMES = np.linspace(0.0, END, 41)[1:]
+
+# at twice and at half of what is critical
+TOO_MUCH = {
+    "pressed": (driven(rod(), push=2 * STRAIN), 2),
+    "twisted": (driven(rod(), turns=1.3 * CLAMPED_TURNS), 2),
+    "curved alike everywhere": (
+        driven(
+            rx.straight_rod(
+                1.0,
+                16,
+                rx.Section((1.0, 1.0, 0.8), mass=1.0, compliance=(0.0, 0.0, GIVE)),
+                natural_curvature=(1e-2, 0.0, 0.0),
+            ),
+            push=2 * STRAIN,
+        ),
+        2,
+    ),
+}
+BORNE = {
+    "pressed": driven(rod(), push=0.8 * STRAIN),
+    "pulled": driven(rod(), push=-2 * STRAIN),
+    "twisted": driven(rod(), turns=0.8 * CLAMPED_TURNS),
+    "crooked": driven(rx.imperfect(rod(), 1e-2), push=1.5 * STRAIN),
+}
+
+
+@pytest.mark.parametrize("name", TOO_MUCH)
+def test_a_run_says_that_nothing_excites_its_modes(name):
+    scene, modes = TOO_MUCH[name]
+    with pytest.warns(ModelWarning, match=rf"ends straight.* with {modes} unstable mode\(s\)"):
+        rx.rollout(scene, rx.start(scene), TIMES)
+
+
+def test_an_adaptive_run_says_so_too():
+    scene, _ = TOO_MUCH["pressed"]
+    with pytest.warns(ModelWarning, match=r"Give it an imperfection, rodjax.imperfect\(rod\)"):
+        rx.adaptive_rollout(scene, rx.start(scene), END)
+
+
+@pytest.mark.parametrize("name", BORNE)
+def test_what_a_rod_bears_is_no_finding(name):
+    scene = BORNE[name]
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        rx.rollout(scene, rx.start(scene), TIMES)
+
+
+def test_a_rod_pushed_through_space_is_at_rest_nowhere():
+    push = rx.PointLoad(0, (0.0, 0.0, 50.0))
+    scene = rx.Scene(rod(), loads=(push,))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        run = rx.rollout(scene, rx.start(scene), np.linspace(0.0, 0.1, 41)[1:])
+    assert float(jnp.max(-run.final.force[:, 2])) > 10.0
+
+
+def test_traced_runs_are_not_looked_at():
+    scene, _ = TOO_MUCH["pressed"]
+    state = rx.start(scene)
+    found = jax.jit(lambda s: rx.rollout(s, state, jnp.asarray(TIMES), throw=False).result)(scene)
+    assert int(found) == rx.Result.SUCCESS
