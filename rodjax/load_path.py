@@ -26,7 +26,6 @@ from rodjax.path_following import (
     LEAVE,
     LEAVE_EXCITED,
     follow,
-    imbalance,
     spin_is_neutral,
     spin_resistance,
 )
@@ -35,7 +34,7 @@ from rodjax.rigid_motions import check_held
 from rodjax.scene import Scene
 from rodjax.start_checks import check_held_once
 from rodjax.state import State
-from rodjax.statics import Ramp, StaticEquations
+from rodjax.statics import StaticEquations, imbalance, ramp_at
 from rodjax.validation import (
     all_known,
     as_integer,
@@ -217,7 +216,7 @@ def _equilibrium(
         fixed, start, end, load_steps, tolerance, max_iterations, max_rotation, leave, hold
     )
     time = state.time + path.reached * (stop - state.time)
-    ramp = Ramp(path.reached, imbalance(scene, state))
+    ramp = ramp_at(path.reached, imbalance(scene, state))
     position, quaternion = path.reference
     equations = StaticEquations(scene, state, position, quaternion, time, max_rotation, ramp)
     if hold.spin:

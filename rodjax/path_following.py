@@ -27,18 +27,15 @@ from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
 from rodjax import drives, newton, results, rotations
-from rodjax.balance import Internal
 from rodjax.results import Result
 from rodjax.rigid_motions import Hold
 from rodjax.scene import Scene
-from rodjax.state import State
 from rodjax.statics import (
-    Ramp,
     StaticEquations,
-    at_rest,
+    imbalance,
     moving_weight,
+    ramp_at,
     resisting_weight,
-    static_balance,
 )
 from rodjax.strains import relative_rotation, wound
 from rodjax.unstable_modes import count_below, neutral
@@ -103,13 +100,6 @@ class _Descent(NamedTuple):
     all_steps: Int[Array, ""]  # of all descents
 
 
-def imbalance(scene: Scene, state: State) -> Internal:
-    """What internal forces lack at the start of a path."""
-    motion = at_rest(state.time, state.position, state.quaternion)
-    wrench, constraint = static_balance(scene, motion, state.force, 0.0)
-    return Internal(wrench[:, :3], wrench[:, 3:], constraint)
-
-
 def follow(
     scene, state, stop, load_steps, tolerance, max_iterations, max_rotation, leave, hold: Hold
 ) -> tuple[Path, Int[Array, ""]]:
@@ -129,7 +119,7 @@ def follow(
 
     def equations(target, reference, sigma: Array | float = 0.0, repeats: Array | float = 0.0):
         position, quaternion = reference
-        ramp = Ramp(target, lacking)
+        ramp = ramp_at(target, lacking)
         resistance = sigma * weight
         if hold.spin:
             # what does not rest at once costs energy, and needs the less resistance

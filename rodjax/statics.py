@@ -30,16 +30,15 @@ Factor = Number | Float[Array, ""]
 
 
 class Ramp(NamedTuple):
-    """Where on the path: its parameter and what the start was out of balance by."""
+    """Where on the path: its parameter and what is left of what the start was out of balance by."""
 
     factor: Float[Array, ""]
-    imbalance: Internal
+    lacking: Internal
 
 
-def full_load(state: State) -> Ramp:
-    """The end of a path: loads in full, and nothing that a start lacked."""
-    nodes, elements = jnp.zeros_like(state.position), jnp.zeros_like(state.force)
-    return Ramp(jnp.ones_like(state.time), Internal(nodes, nodes, elements))
+def ramp_at(factor: Float[Array, ""], start: Internal) -> Ramp:
+    """The ramp at this parameter of a path whose start is out of balance by so much."""
+    return Ramp(factor, jax.tree.map(lambda rows: (1 - factor) * rows, start))
 
 
 class StaticEquations(eqx.Module):
@@ -102,12 +101,11 @@ class StaticEquations(eqx.Module):
         scene, scales, ramp = self.scene, self.scales, self.ramp
         motion = self.motion(x)
         wrench, constraint = static_balance(scene, motion, self.force(x), ramp.factor)
-        start, left = ramp.imbalance, 1 - ramp.factor
-        wrench = wrench - left * jnp.concatenate([start.force, start.moment], 1)
+        wrench = wrench - jnp.concatenate([ramp.lacking.force, ramp.lacking.moment], 1)
         if self.resistance is not None:
             change = jnp.concatenate([x[:, :3] * scales.length, x[:, 6:]], 1)
             wrench = wrench + self.resistance * change
-        constraint = constraint - left * start.constraint
+        constraint = constraint - ramp.lacking.constraint
         unit = jnp.repeat(jnp.stack([scales.force, scales.force * scales.length]), 3)
         wrench = wrench / unit[None]
         wrench = ends.impose(wrench, self._gaps(motion), projectors(scene, self.start.time))
@@ -214,6 +212,13 @@ def static_balance(
         pushed = contact_forces.report(scene.contact, scene.rod, *at, scene.closed)
         wrench = wrench.at[:, :3].add(-pushed.force)
     return wrench, inner.constraint
+
+
+def imbalance(scene: Scene, state: State, factor: Factor = 0.0) -> Internal:
+    """What the wrenches of a state lack at rest, with this part of the loads."""
+    motion = at_rest(state.time, state.position, state.quaternion)
+    wrench, constraint = static_balance(scene, motion, state.force, factor)
+    return Internal(wrench[:, :3], wrench[:, 3:], constraint)
 
 
 def load_tangent(

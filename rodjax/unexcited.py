@@ -17,7 +17,7 @@ from rodjax.rigid_motions import check_held
 from rodjax.run import Run
 from rodjax.scene import Scene
 from rodjax.state import State
-from rodjax.statics import StaticEquations, full_load, moving_weight
+from rodjax.statics import Ramp, StaticEquations, imbalance, moving_weight
 from rodjax.unstable_modes import count_below, neutral
 
 # P L^2/A + (M L/2A)^2 of a thrust P and a torque M below which no straight rod buckles, whatever
@@ -63,15 +63,10 @@ def warn_if_unexcited(scene: Scene, run: Run) -> None:
 
 @compiled
 def _unstable(scene: Scene, state: State):
-    equations = StaticEquations(
-        scene,
-        state,
-        state.position,
-        state.quaternion,
-        state.time,
-        jnp.ones_like(state.time),
-        full_load(state),
-    )
-    x = equations.guess(state.force)
+    # it moves, if slowly, so that its loads do not balance: what they lack is given
+    one = jnp.ones_like(state.time)
+    ramp = Ramp(one, imbalance(scene, state, one))
+    place = state.position, state.quaternion
+    equations = StaticEquations(scene, state, *place, state.time, one, ramp)
     level = neutral(scene, state.force) * moving_weight(scene)
-    return count_below(equations, x, level[None], 1)[0]
+    return count_below(equations, equations.guess(state.force), level[None], 1)[0]

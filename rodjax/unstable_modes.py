@@ -35,6 +35,9 @@ _ORDER = np.array([3, 4, 5, 0, 1, 2, 6, 7, 8])
 # Columns of a block that are motions of its node.
 _MOTION = np.array([0, 1, 2, 6, 7, 8])
 
+# Nodes that ends hold.
+_ENDS = np.array([0, -1])
+
 # How stiff what holds an end is, in scaled units: two clamps may hold the same thing twice.
 _END_COMPLIANCE = 1e-9
 
@@ -90,8 +93,12 @@ def _tangent(equations: StaticEquations, x) -> BlockTridiagonal:
     elements = balance.element_tangent(scene.rod, motion.position, motion.quaternion, force)
     node = load_tangent(scene, motion, equations.ramp.factor)
     # by spins of the body a moment m that is not balanced leaves hat(m)/2 in the tangent; neither
-    # what the path's start lacks nor a resistance is one of the rod's loads
-    lacking = (1 - equations.ramp.factor) * equations.ramp.imbalance.moment
+    # what the path's start lacks nor a resistance is one of the rod's loads, while what holds an
+    # end is
+    lacking = equations.ramp.lacking.moment
+    holding = projectors(scene, equations.start.time)[:, 3:, 3:]
+    reaction = jnp.einsum("eij,ej->ei", holding, lacking[_ENDS])
+    lacking = lacking.at[_ENDS].add(-reaction)
     if equations.resistance is not None:
         lacking = lacking - equations.resistance[:, 3:] * x[:, 6:]
     node = node.at[:, 3:, 3:].add(-0.5 * rotations.hat(lacking))
