@@ -38,7 +38,7 @@ def warn_if_unexcited(scene: Scene, run: Run) -> None:
     if not np.max(np.abs(aside)) <= rounding * length:
         return
     stiffness = np.asarray(scene.rod.stiffness)
-    thrust = max(float(np.max(-force @ along)), 0.0)
+    thrust = max(float(np.max(-force[:, 2])), 0.0)  # along the tangents
     twist = turns_of_elements(np.asarray(final.quaternion))[:, 2] / np.asarray(scene.rod.length)
     twist = twist - np.asarray(scene.rod.natural_curvature)[:, 2]
     torque = float(np.max(np.abs(stiffness[:, 2] * twist)))
