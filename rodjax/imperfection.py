@@ -63,14 +63,17 @@ def imperfect(
         raise ValueError(f"{error}; the rod has {rod.elements} elements, two a half wave") from None
     check_integer(0, 2**63 - 1, seed=seed)
     length = jnp.sum(rod.length)
-    largest = fraction * length if amplitude is None else amplitude
+    # of the rod's precision, whatever the kind of the number given
+    largest = jnp.asarray(size, length.dtype)
+    if amplitude is None:
+        largest = largest * length
     unit = jnp.asarray(_directions(modes, seed), length.dtype)
     curvature = _waves(jnp, modes, rod.midpoints / length).T @ unit
     # the shape at rest of an inextensible rod of this curvature, and its distance from the chord
     slope = jnp.cumsum(curvature * rod.length[:, None], 0) - 0.5 * curvature * rod.length[:, None]
     steps = slope * rod.length[:, None]
     shape = jnp.concatenate([jnp.zeros_like(steps[:1]), jnp.cumsum(steps, 0)])
-    shape = shape - shape[-1] * (rod.arc_length / length)[:, None]
+    shape = shape - shape[-1:] * (rod.arc_length / length)[:, None]
     largest = largest / jnp.max(jnp.linalg.norm(shape, axis=1))
     added = jnp.pad(largest * curvature, ((0, 0), (0, 1)))
     return dataclasses.replace(rod, natural_curvature=rod.natural_curvature + added)
@@ -78,8 +81,8 @@ def imperfect(
 
 def _waves(numbers, modes: int, s):
     """cos(k pi s) / k and sin(k pi s) / k (2 modes, points), by numpy or jax.numpy."""
-    k = numbers.arange(1, modes + 1)[:, None]
-    angle = np.pi * k * s
+    k = numbers.arange(1, modes + 1, dtype=s.dtype)[:, None]
+    angle = np.pi * k * s[None]
     return numbers.concatenate([numbers.cos(angle) / k, numbers.sin(angle) / k])
 
 

@@ -178,7 +178,9 @@ class MorisonDrag(AbstractLoad):
 
     def wrench(self, rod, motion):
         diameter = _need(rod, "diameter", "MorisonDrag")
-        velocity = motion.velocity if self.current is None else motion.velocity - self.current
+        velocity = motion.velocity
+        if self.current is not None:
+            velocity = velocity - self.current[None]
         tangent = rotations.tangent_director(motion.quaternion)
         along = jnp.sum(velocity * tangent, 1, keepdims=True)
         across = velocity - along * tangent

@@ -255,7 +255,7 @@ def straight_rod(
     nodes = grid(length, elements, jumps)
     tangent = direction_of(direction, "direction")
     frame = first_frame(tangent, first_director)
-    position = vector(origin, "origin") + nodes[:, None] * tangent
+    position = vector(origin, "origin")[None] + nodes[:, None] * tangent[None]
     quaternion = module_of(frame).broadcast_to(frame, (len(nodes), 4))
     return build_rod(nodes, position, quaternion, section, natural_curvature)
 
