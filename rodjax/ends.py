@@ -106,14 +106,14 @@ class AbstractEnd(eqx.Module):
             return False
         # what an end's kind makes of no numbers is known in traced code too
         with jax.ensure_compile_time_eval():
-            times = [jnp.zeros(()), *self.switch_times]
+            times = [jnp.asarray(t, float) for t in (0.0, *self.switch_times)]
             held = jnp.stack([self.projector(t)[:3, :3] for t in times])
             fixed = jnp.all(held == jnp.eye(3, dtype=held.dtype)[None])
         return bool(fixed) if known(fixed) else fixed
 
 
 def _translation(directions):
-    return jnp.zeros((6, 6)).at[:3, :3].set(directions)
+    return jnp.zeros((6, 6), directions.dtype).at[:3, :3].set(directions)
 
 
 # only changes of schedules count, so what moves an end begins at nothing
@@ -214,7 +214,8 @@ class Slider(AbstractEnd):
         _check_motion(self.displacement, self.rotation)
 
     def projector(self, time):
-        return jnp.eye(6) - _translation(jnp.outer(self.axis, self.axis))
+        along = jnp.outer(self.axis, self.axis)
+        return jnp.eye(6, dtype=along.dtype) - _translation(along)
 
     @property
     def fixed(self):
@@ -254,7 +255,10 @@ class Switched(AbstractEnd):
             raise ValueError("before: nest a further switch in `after`")
 
     def projector(self, time):
-        return jnp.where(time >= self.at, self.after.projector(time), self.before.projector(time))
+        # of a rod in single precision the steps end at the change as single precision has it
+        dtype = jnp.result_type(time, float)
+        after, before = (end.projector(time).astype(dtype) for end in (self.after, self.before))
+        return jnp.where(time >= jnp.asarray(self.at, dtype), after, before)
 
     @property
     def switch_times(self):

@@ -131,7 +131,7 @@ class Scene(eqx.Module):
     @property
     def corners(self) -> Float[Array, " k"]:
         """Times at which a derivative of a drive jumps; adaptive steps end on them."""
-        corners = [schedule.corners for _, schedule in self.schedules]
+        corners = [jnp.asarray(schedule.corners, float) for _, schedule in self.schedules]
         return jnp.concatenate([jnp.zeros((0,)), *corners])
 
     def check_until(self, time: float) -> None:

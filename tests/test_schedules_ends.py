@@ -155,7 +155,7 @@ def test_nothing_moves_before_the_first_knot():
     times = np.asarray(run.times)
     assert 1.0 in times  # a step ends there
     moved = np.max(np.abs(np.asarray(run.states.position) - np.asarray(rod.position)), (1, 2))
-    turned = np.max(np.abs(np.asarray(run.states.quaternion - rod.quaternion)), (1, 2))
+    turned = np.max(np.abs(np.asarray(run.states.quaternion - rod.quaternion[None])), (1, 2))
     assert np.max(moved[times <= 1]) < 1e-13 and np.max(turned[times <= 1]) < 1e-13
     np.testing.assert_allclose(run.final.position[0], [0.0, 0.01, 0.02], atol=1e-12)
     angle = 0.5 * 0.1 + 0.5 * 0.5 * 0.1**2
@@ -245,6 +245,20 @@ def test_switched_changes_once_and_may_nest():
     np.testing.assert_array_equal(both[0], 0.0)
     np.testing.assert_array_equal(both[1], np.eye(6))
     assert Clamped().switch_times == ()
+
+
+def test_a_switch_in_single_precision_begins_at_its_rounded_time():
+    end = Switched(Slider((0, 0, 1)), Clamped(), 0.7)  # which single precision rounds down
+    single = jax.tree.map(lambda leaf: leaf.astype(jnp.float32), end)
+    for one in (end, single):
+        for time, part in ((0.6, end.before), (0.7, end.after)):
+            found = one.projector(jnp.asarray(time, jnp.float32))
+            assert found.dtype == jnp.float32
+            np.testing.assert_array_equal(found, part.projector(at(time)))
+        assert one.fixed is False
+    scene = Scene(straight_rod(1.0, 3, UNIT_SECTION), Clamped(SHIFT), single)
+    scene = dataclasses.replace(scene, first_end=jax.tree.map(jnp.float32, scene.first_end))
+    np.testing.assert_array_equal(np.sort(scene.corners), [0.0, 2.0])
 
 
 def test_increments_follow_the_schedules():
