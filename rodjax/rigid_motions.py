@@ -104,19 +104,21 @@ def _held_by_loads(scene: Scene, state: State, free, time) -> int:
         return 0
     length = float(jnp.sum(scene.rod.length))
     place = np.asarray(state.position)
-    time = jnp.asarray(time, state.position.dtype)
+    # numpy's arrays are in double precision, what the loads are given is in the rod's
+    own = lambda array: jnp.asarray(array, state.position.dtype)
+    time = own(time)
 
     def moved(position, quaternion, motion):
-        turn = rotations.exponential(jnp.asarray(motion[3:]))
+        turn = rotations.exponential(own(motion[3:]))
         turn = jnp.broadcast_to(turn, quaternion.shape)
-        arm = jnp.asarray(position - place[0])
+        arm = own(position - place[0])
         position = place[0] + length * motion[:3] + np.asarray(rotations.rotate(turn, arm))
         return position, rotations.multiply(turn, quaternion)
 
     def work(position, quaternion):
-        motion = at_rest(time, jnp.asarray(position), quaternion)
+        motion = at_rest(time, own(position), quaternion)
         wrench = np.asarray(total_wrench(scene.loads, scene.rod, motion))
-        spatial = np.asarray(rotations.rotate(quaternion, jnp.asarray(wrench[:, 3:])))
+        spatial = np.asarray(rotations.rotate(quaternion, own(wrench[:, 3:])))
         moment = np.cross(position - place[0], wrench[:, :3]) + spatial
         generalised = np.concatenate([length * wrench[:, :3].sum(0), moment.sum(0)])
         return free @ generalised, length * np.abs(wrench[:, :3]).sum() + np.abs(spatial).sum()
