@@ -108,8 +108,9 @@ def cantilever(*, n=N, stiffness=(1.0, 1.0, 0.8), mass=1.0, **given):
     twist = (load["moment"] + load["dead_moment"]) / rod.stiffness[:, 2] * rod.length
     angle = jnp.concatenate([jnp.zeros(1), jnp.cumsum(twist)])
     state = placing(scene)
-    turned = rotations.multiply(state.quaternion, rotations.exponential(angle[:, None] * axis))
-    force = -thrust[:, None] * axis
+    turn = rotations.exponential(angle[:, None] * axis[None])
+    turned = rotations.multiply(state.quaternion, turn)
+    force = -thrust[:, None] * axis[None]
     return scene, eqx.tree_at(lambda s: (s.quaternion, s.force), state, (turned, force))
 
 
@@ -231,7 +232,7 @@ def test_values_that_coincide_have_their_mean_derivative():
     # stiffening one plane of an isotropic rod: half of what stiffening both does
     def frequency(by):
         scene, state = cantilever(thrust=10.0, n=10)
-        stiffness = scene.rod.stiffness * (1 + jnp.stack([by[0], by[1], 0.0]))
+        stiffness = scene.rod.stiffness * (1 + jnp.stack([by[0], by[1], jnp.zeros(())])[None])
         scene = eqx.tree_at(lambda s: s.rod.stiffness, scene, stiffness)
         return vibration(scene, state).frequency[0]
 

@@ -41,7 +41,7 @@ def straight(elements=16, section=UNIT_SECTION):
 def twisted(a_rod, turns, time=0.0):
     """A straight rod twisted uniformly, the end s = 0 by -turns about its tangent."""
     angle = 2 * jnp.pi * turns * (a_rod.arc_length / a_rod.arc_length[-1] - 1)
-    spin = rotations.exponential(angle[:, None] * AXIS)
+    spin = rotations.exponential(angle[:, None] * AXIS[None])
     return state_of(a_rod, quaternion=rotations.multiply(a_rod.quaternion, spin), time=time)
 
 
@@ -77,7 +77,7 @@ def test_eq15_agrees_with_the_twist_of_the_polygon_to_second_order():
     both = jax.jit(lambda a_rod, s: measures.twist(s) - measures.twist_eq15(a_rod, s))
     for elements in sizes:
         a_rod = helix(elements)
-        spin = rotations.exponential(5.0 * a_rod.arc_length[:, None] * AXIS)
+        spin = rotations.exponential(5.0 * a_rod.arc_length[:, None] * AXIS[None])
         state = state_of(a_rod, quaternion=rotations.multiply(a_rod.quaternion, spin))
         differences.append(abs(float(both(a_rod, state))))
     assert differences[-1] > 1e-6

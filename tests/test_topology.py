@@ -27,7 +27,8 @@ compiled_linking_number = jax.jit(topology.linking_number)
 
 
 def about_e3(angle):
-    return rotations.exponential(jnp.asarray(angle)[..., None] * jnp.array([0.0, 0.0, 1.0]))
+    zero = jnp.zeros_like(angle)
+    return rotations.exponential(jnp.stack([zero, zero, angle], -1))
 
 
 def framed(positions, angles):
@@ -105,7 +106,7 @@ def test_twist_integral_agrees_at_second_order():
     @partial(jax.jit, static_argnums=0)
     def pair(elements):
         ds = 1 / elements
-        stations = ds * (jnp.arange(elements) + 0.5)
+        stations = ds * (jnp.arange(float(elements)) + 0.5)
         frames = rotations.exponential(stations[:, None] * curvature[None, :])
         edges = ds * rotations.tangent_director(frames)
         positions = jnp.concatenate([jnp.zeros((1, 3)), jnp.cumsum(edges, axis=0)])

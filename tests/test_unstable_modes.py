@@ -43,7 +43,7 @@ def pressed(first, last, thrust, compliance=None):
     load = PointLoad(node, Constant(sign * thrust * along))
     scene = Scene(rod, first, last, loads=(load,))
     state = placing(scene)
-    return scene, eqx.tree_at(lambda s: s.force, state, state.force - jnp.asarray([0, 0, thrust]))
+    return scene, eqx.tree_at(lambda s: s.force, state, state.force - jnp.asarray([[0, 0, thrust]]))
 
 
 SLIDER = Slider((0, 0, 1))
@@ -91,6 +91,6 @@ def test_a_column_between_two_clamps_whose_parts_are_near(kind):
     scene, state = jax.tree.map(cast, (scene, placing(scene)))
     assert int(find_nearby(scene, state.position).near.level) > 0
     for factor, modes in ((0.85, 0), (1.15, 2)):
-        thrust = jnp.asarray([0.0, 0.0, factor * 4 * np.pi**2], kind)
+        thrust = jnp.asarray([[0.0, 0.0, factor * 4 * np.pi**2]], kind)
         pressed = eqx.tree_at(lambda s: s.force, state, state.force - thrust)
         assert int(counted(scene, pressed, jnp.zeros(1, kind))[0]) == modes

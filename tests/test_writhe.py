@@ -28,7 +28,7 @@ def random_rotation(generator):
 
 
 def torus_curve(vertices):
-    t = 2 * jnp.pi * jnp.arange(vertices) / vertices
+    t = 2 * jnp.pi * jnp.arange(float(vertices)) / vertices
     ring = 2 + jnp.cos(3 * t)
     return jnp.stack([ring * jnp.cos(2 * t), ring * jnp.sin(2 * t), jnp.sin(3 * t)], axis=1)
 
@@ -70,7 +70,7 @@ def test_long_helix():
 
 
 def test_planar_and_spherical_closed_curves():
-    t = 2 * jnp.pi * jnp.arange(200) / 200
+    t = 2 * jnp.pi * jnp.arange(200.0) / 200
     radius = 1 + 0.4 * jnp.cos(3 * t) + 0.2 * jnp.sin(5 * t)
     planar = jnp.stack([radius * jnp.cos(t), radius * jnp.sin(t), jnp.zeros(200)], axis=1)
     tilted = planar @ jnp.array(random_rotation(np.random.default_rng(3)))
