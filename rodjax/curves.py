@@ -99,9 +99,9 @@ def through(points: Any, length: Any = None) -> tuple[Callable, np.floating | An
 
     def passed(i, t):
         """Arc length on interval i from its start to t."""
-        nodes = 0.5 * t[..., None] * (1 + _GAUSS[0])
-        index = xp.broadcast_to(i[..., None], nodes.shape)
-        return 0.5 * t * xp.sum(_GAUSS[1] * speed(index, nodes), -1)
+        nodes = 0.5 * t[:, None] * (1 + _GAUSS[0])[None]
+        index = xp.broadcast_to(i[:, None], nodes.shape)
+        return 0.5 * t * xp.sum(_GAUSS[1][None] * speed(index, nodes), -1)
 
     intervals = np.arange(x.shape[0] - 1)
     each = passed(intervals, xp.ones(len(intervals)))
