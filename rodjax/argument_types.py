@@ -8,4 +8,5 @@ from jaxtyping import Array
 Number = float | int
 AnyArray = Array | np.ndarray
 """An array, whether traced or held by numpy; `Float[AnyArray, "nodes 3"]` adds its shape."""
-Vector = Sequence[Number] | AnyArray
+Vector = Sequence[Number | AnyArray] | AnyArray
+"""Three components; one by one they may be traced too."""
