@@ -78,10 +78,10 @@ class Unbounded(_AbstractAnyNumber):
         check_positive(scale=self.scale)
 
     def to_unbounded(self, value):
-        return value / self.scale
+        return value / matched(self.scale, value)
 
     def to_bounded(self, unknown):
-        return self.scale * unknown
+        return matched(self.scale, unknown) * unknown
 
     def label(self, name):
         return name if self.scale == 1 else f"{name}/{float(self.scale):.3g}"
@@ -128,7 +128,7 @@ class Interval(AbstractBound):
     """Between two numbers: u = log((x - low) / (high - x)) / 4.
 
     In the middle of the interval a unit of u is its width. Bounds are numbers, or arrays with a
-    number for each element of the parameter.
+    number for each element of the parameter; they are rounded to its precision.
     """
 
     low: Float[Array, "..."] = eqx.field(converter=as_float)
@@ -145,13 +145,15 @@ class Interval(AbstractBound):
             raise ValueError(f"low, high: must be finite and low < high, got {self.range}")
 
     def to_unbounded(self, value):
-        return 0.25 * (jnp.log(value - self.low) - jnp.log(self.high - value))
+        low, high = matched(self.low, value), matched(self.high, value)
+        return 0.25 * (jnp.log(value - low) - jnp.log(high - value))
 
     def to_bounded(self, unknown):
-        return self.low + (self.high - self.low) * jax.nn.sigmoid(4 * unknown)
+        low, high = matched(self.low, unknown), matched(self.high, unknown)
+        return low + (high - low) * jax.nn.sigmoid(4 * unknown)
 
     def inside(self, value):
-        return (value > self.low) & (value < self.high)
+        return (value > matched(self.low, value)) & (value < matched(self.high, value))
 
     def at_bound(self, unknown):
         return jnp.abs(unknown) > 2.0  # within 0.03 % of the width
@@ -171,9 +173,10 @@ class Unknowns(eqx.Module):
     like: PyTree[Float[Array, "..."]]  # parameters, for their structure, shapes and fixed values
 
     def vector(self, parameters: PyTree) -> Float[Array, " p"]:
-        """Unknowns of the parameters."""
+        """Unknowns of the parameters, in the default precision whatever theirs."""
         leaves = self._free(jax.tree.leaves(parameters))
-        return jnp.concatenate([bound.to_unbounded(leaf).ravel() for bound, leaf in leaves])
+        parts = [bound.to_unbounded(leaf).ravel() for bound, leaf in leaves]
+        return jnp.concatenate([part.astype(jnp.result_type(float)) for part in parts])
 
     def parameters(self, vector: Float[Array, " p"]) -> PyTree:
         """Parameters of the unknowns."""
@@ -207,7 +210,7 @@ class Unknowns(eqx.Module):
         """Derivative of each parameter with respect to its unknown."""
         slopes = jax.jvp(self.parameters, (vector,), (jnp.ones_like(vector),))[1]
         leaves = self._free(jax.tree.leaves(slopes))
-        return jnp.concatenate([leaf.ravel() for _, leaf in leaves])
+        return jnp.concatenate([leaf.ravel().astype(vector.dtype) for _, leaf in leaves])
 
     def at_bound(self, vector: Float[Array, " p"]) -> tuple[str, ...]:
         """Names of the parameters that are at the end of their interval."""
@@ -232,6 +235,11 @@ class Unknowns(eqx.Module):
         """The unknowns as formulas, as 'log stiffness[2]'."""
         named = self._free(names_of(self.like))
         return tuple(bound.label(name) for bound, names in named for name in names)
+
+
+def matched(numbers: Float[Array, "..."], value: Float[Array, "*d"]) -> Float[Array, "*d"]:
+    """Numbers that go with a parameter or with data, in their shape and precision."""
+    return jnp.broadcast_to(numbers, value.shape).astype(value.dtype)
 
 
 def names_of(tree: PyTree) -> list[list[str]]:

@@ -132,5 +132,8 @@ def _descend(loss, unknowns, optimizer, vector, memory) -> tuple[Array, Array, A
     value, gradient = jax.value_and_grad(objective)(vector)
     # what a line search needs; other optimizers do without
     more = {"value": value, "grad": gradient, "value_fn": objective}
-    step, memory = optax.with_extra_args_support(optimizer).update(gradient, memory, vector, **more)
+    update = optax.with_extra_args_support(optimizer).update
+    # optax mixes whole numbers and others: not to be refused where users have strict promotions
+    with jax.numpy_dtype_promotion("standard"), jax.numpy_rank_promotion("allow"):
+        step, memory = update(gradient, memory, vector, **more)
     return value, gradient, step, memory

@@ -207,7 +207,7 @@ def _evaluate_all(problem, vectors):
         except STEP_FAILED:
             size = problem.data.stop + problem.prior_count
             found.append((jnp.full(size, jnp.nan), jnp.full((size, vector.size), jnp.nan)))
-    return tuple(map(jnp.stack, zip(*found, strict=True)))
+    return tuple(jnp.asarray(np.stack(parts)) for parts in zip(*found, strict=True))
 
 
 def _report(problem, best, linear, trials, history, result) -> Fit:
@@ -229,7 +229,7 @@ def _report(problem, best, linear, trials, history, result) -> Fit:
     weights = np.ones(pull.shape) if problem.robust is None else problem.robust.weights(pull)
     shape, here = observations.values.shape, np.asarray(observations.here)
     deviation = 1.0 if observations.deviation is None else observations.deviation
-    residuals = np.asarray(pull.reshape(shape) * deviation)
+    residuals = np.reshape(np.asarray(pull), shape) * np.asarray(deviation)
     return Fit(
         parameters=unknowns.parameters(best.unknowns),
         deviations=unknowns.unflatten(jnp.asarray(np.sqrt(np.diag(covariance)))),

@@ -1,7 +1,8 @@
 """Levenberg and Marquardt's method of optimistix, told residuals and Jacobian trial by trial.
 
 It never evaluates the prediction itself: a rejected trial costs no further simulation, and the
-loop around it can report, stop and keep what it has.
+loop around it can report, stop and keep what it has. It works in the unknowns' precision, the
+default, whatever that of the prediction.
 """
 
 from typing import Any, NamedTuple
@@ -55,6 +56,7 @@ def _begin(residual, jacobian, vector):
     """
     norm = lambda x: jnp.linalg.norm(x, axis=0)
     safe = lambda x: jnp.where(x > 0, x, 1.0)
+    residual, jacobian = (x.astype(vector.dtype) for x in (residual, jacobian))
     size = safe(norm(residual))
     scale = safe(norm(jacobian)) / (10 * size)
     y = scale * vector
@@ -64,7 +66,8 @@ def _begin(residual, jacobian, vector):
 def _advance(residual, jacobian, solver):
     """Tell the solver residual and Jacobian at its trial; the next trial, and how far it is."""
     size, scale, y, state = solver
-    residual, jacobian = residual / size, jacobian / (size * scale)
+    residual, jacobian = (x.astype(y.dtype) for x in (residual, jacobian))
+    residual, jacobian = residual / size, jacobian / (size * scale)[None]
     # the rest of the state are programs, made again here: they do not pass through jit
     programs = eqx.filter(_state(residual, jacobian, y), eqx.is_array, inverse=True)
     model, state = _model(residual, jacobian, state.y_eval), eqx.combine(state, programs)

@@ -100,7 +100,9 @@ class Observations(eqx.Module):
     def here(self) -> Bool[Array, "k *d"]:
         """Where there is a value."""
         measured = ~jnp.isnan(self.values)
-        return measured if self.present is None else measured & self.present
+        if self.present is None:
+            return measured
+        return measured & jnp.broadcast_to(self.present, measured.shape)
 
     @property
     def count(self) -> int:
@@ -110,7 +112,8 @@ class Observations(eqx.Module):
     def residuals(self, prediction: Array) -> Float[Array, " n"]:
         """(prediction - values) / deviation, ravelled; not divided where none is stated.
 
-        Zero where there is no value, whatever the prediction.
+        Zero where there is no value, whatever the prediction. In the higher precision of
+        prediction and values.
 
         Raises:
             ValueError: the prediction does not have the shape of the values.
@@ -122,9 +125,12 @@ class Observations(eqx.Module):
             )
         here = self.here
         # replaced before they are divided: what is no number would be one in no derivative either
-        difference = jnp.where(here, prediction, 0.0) - jnp.where(here, self.values, 0.0)
+        widest = np.result_type(prediction.dtype, self.values.dtype)
+        there = lambda array, other: jnp.where(here, array.astype(widest), other)
+        difference = there(prediction, 0.0) - there(self.values, 0.0)
         if self.deviation is not None:
-            difference = difference / jnp.where(here, self.deviation, 1.0)
+            deviation = jnp.broadcast_to(self.deviation, here.shape)
+            difference = difference / there(deviation, 1.0)
         return difference.ravel()
 
     def first_time(self, marked: np.ndarray) -> float:

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, PyTree
 
-from rodjax.bounds import Unknowns, names_of, of_each_leaf
+from rodjax.bounds import Unknowns, matched, names_of, of_each_leaf
 from rodjax.validation import as_float, broadcasts, check_finite, check_positive
 
 
@@ -34,7 +34,7 @@ class NormalPrior(AbstractPrior):
         check_positive(deviation=self.deviation)
 
     def residuals(self, value):
-        return (value - self.mean) / self.deviation
+        return (value - matched(self.mean, value)) / matched(self.deviation, value)
 
 
 class LogNormalPrior(AbstractPrior):
@@ -50,7 +50,7 @@ class LogNormalPrior(AbstractPrior):
         check_positive(median=self.median, deviation=self.deviation)
 
     def residuals(self, value):
-        return jnp.log(value / self.median) / self.deviation
+        return jnp.log(value / matched(self.median, value)) / matched(self.deviation, value)
 
 
 class Priors(eqx.Module):
@@ -62,7 +62,8 @@ class Priors(eqx.Module):
         """Those of all parameters with a prior."""
         leaves = zip(self.each, jax.tree.leaves(parameters), strict=True)
         parts = [prior.residuals(leaf).ravel() for prior, leaf in leaves if prior is not None]
-        return jnp.concatenate([jnp.zeros(0), *parts])
+        none = jnp.zeros(0)
+        return jnp.concatenate([none, *(part.astype(none.dtype) for part in parts)])
 
     def count(self, parameters: PyTree) -> int:
         """Number of them."""

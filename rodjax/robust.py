@@ -45,9 +45,9 @@ class Huber(AbstractRobust):
         check_positive(scale=self.scale)
 
     def shrunk(self, residual):
-        size = jnp.abs(residual)
-        inside = size <= self.scale
-        beyond = jnp.sqrt(self.scale * (2 * jnp.where(inside, self.scale, size) - self.scale))
+        size, scale = jnp.abs(residual), self.scale.astype(residual.dtype)
+        inside = size <= scale
+        beyond = jnp.sqrt(scale * (2 * jnp.where(inside, scale, size) - scale))
         return jnp.where(inside, residual, jnp.sign(residual) * beyond)
 
 
@@ -61,4 +61,5 @@ class SoftL1(AbstractRobust):
         check_positive(scale=self.scale)
 
     def shrunk(self, residual):
-        return residual * jnp.sqrt(2 / (1 + jnp.sqrt(1 + (residual / self.scale) ** 2)))
+        scale = self.scale.astype(residual.dtype)
+        return residual * jnp.sqrt(2 / (1 + jnp.sqrt(1 + (residual / scale) ** 2)))

@@ -1,18 +1,23 @@
 """Fits of toy models whose answers are known."""
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from helpers import slow
 from toy_fits import BOUNDS, EXACT, GUESS, TIMES, TRUTH, decay, noisy, numbers, relative
 
 from rodjax.bounds import Interval, Positive, Unbounded
 from rodjax.consistency import start
+from rodjax.descent import minimize
 from rodjax.ends import Clamped
 from rodjax.fit import least_squares, several_starts
 from rodjax.fit_results import MESSAGES, FitResult
 from rodjax.fixed_rollout import rollout
 from rodjax.loads import LinearDrag
 from rodjax.observations import Observations, positions_at
+from rodjax.priors import LogNormalPrior, NormalPrior
+from rodjax.robust import Huber
 from rodjax.rod import Section, straight_rod
 from rodjax.scene import Scene
 
@@ -201,6 +206,44 @@ def test_single_precision():
     assert found.result in (FitResult.CONVERGED, FitResult.SETTLED)
     reference = least_squares(decay, GUESS, noisy())
     assert relative(found.parameters, numbers(reference.parameters)) < 1e-4
+
+
+@pytest.mark.parametrize("how", ["one start", slow("several starts"), slow("descent")])
+def test_single_precision_with_bounds_priors_and_a_loss(how):
+    """Whose numbers are of double precision: as the fit in double precision throughout."""
+    bounds = {"a": Interval(0.1, 9.0), "k": Positive()}
+    priors = {"a": NormalPrior(2.0, 1.0), "k": LogNormalPrior(1.3, 1.0)}
+    settings = {"bounds": bounds, "priors": priors, "robust": Huber()}
+    single = lambda tree: jax.tree.map(lambda x: jnp.asarray(x, jnp.float32), tree)
+    times, guess = single(TIMES), single(GUESS)
+    predict = lambda p: p["a"] * jnp.exp(-p["k"] * times)
+    data = Observations(times, single(noisy().values), 0.02)
+    if how == "descent":
+        loss = lambda p: jnp.sum((predict(p) - data.values) ** 2)
+        least = minimize(loss, guess, bounds=bounds, max_steps=5)
+        assert least.loss < 0.9 * least.history[0]
+        return
+    if how == "one start":
+        found = least_squares(predict, guess, data, **settings)
+    else:
+        starts = jax.tree.map(lambda x: jnp.stack([x, 1.5 * x]), guess)
+        found = several_starts(predict, starts, data, **settings).best
+    reference = least_squares(decay, GUESS, noisy(stated=0.02), **settings)
+    assert found.parameters["k"].dtype == jnp.float32
+    assert relative(numbers(found.parameters), numbers(reference.parameters)) < 1e-4
+    assert relative(found.covariance, reference.covariance) < 1e-3
+
+
+def test_numbers_for_every_column():
+    """Deviations, gaps, bounds and priors that broadcast along leading axes."""
+    truth, deviation = np.array([[1.0, -2.0, 0.5], [0.3, 0.1, -0.4]]), np.array([0.1, 0.2, 0.3])
+    predict = lambda p: p[:1] + p[1:] * TIMES[:, None]
+    data = Observations(TIMES, predict(jnp.asarray(truth)), deviation, [True, True, True])
+    bounds, priors = Interval([-9.0, -8.0, -7.0], 9.0), NormalPrior(np.zeros(3), 1e6)
+    found = least_squares(predict, jnp.zeros((2, 3)), data, bounds=bounds, priors=priors)
+    assert relative(found.parameters, truth) < 1e-6
+    spread = np.asarray(found.deviations) / deviation
+    np.testing.assert_allclose(spread[:, 1:], spread[:, :1] * np.ones((1, 2)), rtol=1e-6)
 
 
 # A rod
