@@ -90,7 +90,7 @@ def _regridded(state, rod, old):
     middle = lambda nodes: 0.5 * (nodes[1:] + nodes[:-1])
     new = State(
         state.time,
-        state.position[0] + _line(quaternion, stretch, rod),
+        state.position[:1] + _line(quaternion, stretch, rod),
         quaternion,
         along(state.rate),
         along(state.acceleration),

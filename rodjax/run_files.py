@@ -64,7 +64,8 @@ def write_run(
             if name not in (others["measures"] or {}) or f"measures/{name}" not in file:
                 raise StorageError(f"measure_units: '{name}' is no array among the measures")
             file[f"measures/{name}"].attrs["units"] = unit
-        frames = jnp.asarray(run.states.quaternion)
+        # a run may be kept in less precision than its scene
+        frames = jnp.asarray(run.states.quaternion, scene.rod.length.dtype)
         kappa = _curvatures(scene.rod, frames)
         # derived from the quaternions: written for readers of the file, not read back
         states = file.require_group("run/states")

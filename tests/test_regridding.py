@@ -34,15 +34,15 @@ def rod_of(elements, section=SECTION, jumps=()):
 
 def state_of(rod):
     """Its placing, in a motion that is smooth along the rod."""
-    s = rod.arc_length[:, None]
-    rate = jnp.concatenate([jnp.sin(3 * s + jnp.arange(3)), jnp.cos(2 * s + jnp.arange(3))], 1)
-    force = jnp.sin(2 * rod.midpoints[:, None] + jnp.arange(3))
+    s, part = rod.arc_length[:, None], jnp.arange(3.0)[None]
+    rate = jnp.concatenate([jnp.sin(3 * s + part), jnp.cos(2 * s + part)], 1)
+    force = jnp.sin(2 * rod.midpoints[:, None] + part)
     return State(jnp.asarray(0.3), rod.position, rod.quaternion, rate, 2 * rate, 3 * rate, force)
 
 
 def stretch_error(rod, state):
     stretch = strains(rod, state.position, state.quaternion).stretch
-    return float(jnp.max(jnp.abs(stretch - jnp.asarray([0.0, 0.0, 1.0]))))
+    return float(jnp.max(jnp.abs(stretch - jnp.asarray([[0.0, 0.0, 1.0]]))))
 
 
 @pytest.mark.parametrize(("elements", "others"), [(20, 33), (20, 9), (20, 20)])
@@ -99,7 +99,7 @@ def test_whole_turns_are_kept():
         quaternion=rotations.multiply(
             rod.quaternion,
             rotations.exponential(
-                jnp.asarray([0.0, 0.0, 1.0]) * jnp.pi * 12.3 * rod.arc_length[:, None]
+                jnp.asarray([[0.0, 0.0, 1.0]]) * jnp.pi * 12.3 * rod.arc_length[:, None]
             ),
         ),
     )
