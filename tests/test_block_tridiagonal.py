@@ -16,7 +16,7 @@ ROWS, BLOCK = 6, 4
 def random_matrix(seed, rows=ROWS, block=BLOCK):
     lower, diagonal, upper = random_arrays(seed, *[(rows, block, block)] * 3)
     # away from singular leading blocks, but far from diagonally dominant
-    return BlockTridiagonal(lower, diagonal + 4 * jnp.eye(block), upper)
+    return BlockTridiagonal(lower, diagonal + 4 * jnp.eye(block)[None], upper)
 
 
 def dense(matrix):

@@ -31,26 +31,26 @@ def with_load(function, parameters=None, rod=ROD):
 
 
 NEIGHBOURS = {
-    "mean": lambda p, s, m: spread(jnp.mean(m.position, 0) - m.position),
-    "sum of velocities": lambda p, s, m: spread(-jnp.sum(m.velocity, 0) + 0 * m.velocity),
+    "mean": lambda p, s, m: spread(jnp.mean(m.position, 0)[None] - m.position),
+    "sum of velocities": lambda p, s, m: spread(-jnp.sum(m.velocity, 0)[None] + 0 * m.velocity),
     "difference": lambda p, s, m: spread(jnp.gradient(m.position, axis=0)),
     "next": lambda p, s, m: spread(m.position - jnp.roll(m.position, -1, 0)),
     "next but one": lambda p, s, m: spread(m.position - jnp.roll(m.position, 2, 0)),
-    "first node": lambda p, s, m: spread(m.position - m.position[0]),
+    "first node": lambda p, s, m: spread(m.position - m.position[:1]),
     "last on first": lambda p, s, m: spread(0 * m.velocity).at[0, :3].set(m.velocity[-1]),
     "mirror": lambda p, s, m: spread(m.velocity[::-1]),
     "largest speed": lambda p, s, m: spread(-m.velocity * jnp.max(jnp.abs(m.velocity))),
-    "spin": lambda p, s, m: spread(0 * s[:, None] + m.angular_velocity[2]),
+    "spin": lambda p, s, m: spread(0 * s[:, None] + m.angular_velocity[2:3]),
     "frames": lambda p, s, m: spread(rotations.tangent_director(m.quaternion[::-1])),
     "in reach": lambda p, s, m: spread(
-        jnp.sum(jnp.exp(-1e4 * (m.position[:, None] - m.position) ** 2), 1)
+        jnp.sum(jnp.exp(-1e4 * (m.position[:, None] - m.position[None]) ** 2), 1)
     ),
     "late": lambda p, s, m: spread(
-        jnp.where(m.time > 100, jnp.mean(m.position, 0), 0 * m.position)
+        jnp.where(m.time > 100, jnp.mean(m.position, 0)[None], 0 * m.position)
     ),
-    "weak": lambda p, s, m: spread(1e6 - m.position + 1e-3 * jnp.mean(m.position, 0)),
+    "weak": lambda p, s, m: spread(1e6 - m.position + 1e-3 * jnp.mean(m.position, 0)[None]),
     "scan": lambda p, s, m: spread(jnp.cumsum(m.velocity, 0)),
-    "now nothing": lambda p, s, m: spread(p * jnp.mean(m.position, 0) + 0 * m.position),
+    "now nothing": lambda p, s, m: spread(p * jnp.mean(m.position, 0)[None] + 0 * m.position),
 }
 
 
@@ -72,7 +72,7 @@ class ToMean(AbstractLoad):
     stiffness: jax.Array
 
     def wrench(self, rod, motion):
-        gap = motion.position - jnp.mean(motion.position, 0)
+        gap = motion.position - jnp.mean(motion.position, 0)[None]
         return rod.node_length[:, None] * spread(-self.stiffness * gap)
 
 
@@ -90,7 +90,7 @@ class SharedMass(AbstractLoad):
 
     def added_mass(self, rod, motion):
         tangent = rotations.tangent_director(motion.quaternion)
-        return self.amount * (jnp.eye(3) + 0 * tangent[:, :, None] + jnp.mean(tangent))
+        return self.amount * (jnp.eye(3)[None] + 0 * tangent[:, :, None] + jnp.mean(tangent))
 
 
 def test_users_classes_too():
@@ -178,7 +178,8 @@ def test_what_functions_and_indices_are_given_belongs_to_the_kind():
     by_function = lambda p, s, m: spread(p(m))
     with_load(by_function, own)
     by_index = lambda p, s, m: spread(-p["of"] * m.position[p["at"]])
-    by_mask = lambda p, s, m: spread(jnp.where(p, jnp.sum(m.position, 0), 0.0) + 0 * m.velocity)
+    total = lambda m: jnp.sum(m.position, 0)[None] + 0 * m.velocity
+    by_mask = lambda p, s, m: spread(jnp.where(p, total(m), 0.0))
     with_load(by_index, {"of": 1.0, "at": jnp.arange(7)})
     with_load(by_mask, jnp.zeros((7, 1), bool))
     for function, parameters in (
@@ -231,7 +232,7 @@ def test_a_diagonal_matrix_is_refused_for_its_zeros():
         with_load(function, 3.0 * jnp.eye(7))
     with pytest.raises(ValueError, match="belong in `contact`$"):
         with_load(function, jnp.ones((7, 7)))
-    masked = lambda p, s, m: spread(-(p["k"] * p["here"]) @ m.position)
+    masked = lambda p, s, m: spread(-jnp.where(p["here"], p["k"], 0.0) @ m.position)
     with_load(masked, {"k": 3.0 * jnp.eye(7), "here": jnp.eye(7, dtype=bool)})
 
 

@@ -26,7 +26,7 @@ def cantilever(youngs_modulus=1e9, weight=9.81, elements=10):
 
 def run(scene, dt, steps=20, **method):
     """The motion in equal steps."""
-    times = dt * jnp.arange(1, steps + 1)
+    times = dt * jnp.arange(1.0, steps + 1)
     return rollout(scene, start(scene), times, GeneralizedAlpha(**method), throw=False)
 
 

@@ -33,7 +33,8 @@ from rodjax.schedules import (
 
 def spread(parameters, s, motion):
     """A user's load, of floats and whole numbers."""
-    force = parameters["k"] * s[:, None] ** parameters["power"] - parameters["c"] * motion.velocity
+    power = parameters["power"].astype(s.dtype)
+    force = parameters["k"] * s[:, None] ** power - parameters["c"] * motion.velocity
     return jnp.concatenate([force, jnp.zeros_like(force)], 1)
 
 

@@ -47,8 +47,7 @@ def test_search_misses_no_pair_that_acts(bent):
             cosines = [np.sum(r * chord[segment], -1) / d for segment in (a, b)]
             apart = np.abs(where.arc_length[b][None] - where.arc_length[a][:, None])
             gate = forces_of.window(scene.contact, d, PAIR, cosines)
-            gate = gate * (apart >= scene.contact.excluded)
-            if np.any(gate > 0):
+            if np.any((gate > 0) & (apart >= scene.contact.excluded)):
                 acting.add((a, b))
     assert len(acting) > 5 and acting <= listed
 
@@ -68,7 +67,7 @@ def test_passage_is_seen_fast_or_slow(pieces):
     contact = Contact(LAWS["damped"], segments=20, cutoff=0.1)
     scene = Scene(hairpin(), contact=contact)
     place = scene.rod.position
-    place = place.at[14:, 2].add(0.3 * (jnp.arange(11) - 6) / 11)  # the legs cross when projected
+    place = place.at[14:, 2].add(0.3 * (jnp.arange(11.0) - 6) / 11)  # the legs cross when projected
 
     @eqx.filter_jit
     def seen(before, after):

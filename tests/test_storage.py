@@ -183,7 +183,7 @@ def test_datasets_have_clear_names_and_units(example, tmp_path):
 
 
 def _load_of(parameters, s, motion):
-    return jnp.zeros((s.shape[0], 6)) + parameters
+    return jnp.full((s.shape[0], 6), parameters)
 
 
 def test_functions_are_asked_for(example, tmp_path):
@@ -204,7 +204,7 @@ class Wind(loads.AbstractLoad):
     strength: jax.Array
 
     def wrench(self, rod, motion):
-        return jnp.zeros((rod.elements + 1, 6)) + self.strength
+        return jnp.tile(self.strength[None], (rod.elements + 1, 1))
 
 
 def test_own_classes_are_asked_for(example, tmp_path):
