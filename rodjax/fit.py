@@ -149,7 +149,7 @@ def several_starts(
     unknowns, guesses = unknowns_of(guesses, bounds), jax.tree.map(as_float, guesses)
     unknowns = Unknowns(unknowns.bounds, jax.tree.map(lambda leaf: leaf[0], guesses))
     for bound, leaf in zip(unknowns.bounds, jax.tree.leaves(guesses), strict=True):
-        if not bound.free and np.any(leaf != leaf[0]):
+        if not bound.free and np.any(leaf != leaf[:1]):
             raise ValueError("guesses: what is fixed must be the same in all of them")
     problem = Problem.of(predict, unknowns, observations, priors, robust)
     best = at = jax.vmap(unknowns.vector)(guesses)
