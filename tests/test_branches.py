@@ -93,6 +93,7 @@ def test_unloaded_it_is_straight_again():
     assert float(back.time) == -1.0 and int(info.unstable) == 0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("imperfection", [1e-1, 1e-2])
 def test_a_twisted_rod_does_not_stay_on_its_axis_beyond_the_critical_turns(imperfection):
     """Between a clamp and a slider: 1.788 turns without tension, fewer with an imperfection.

@@ -279,6 +279,7 @@ def test_a_run_that_resolves_all_has_no_findings():
     assert {"result", "ends", "corners", "energy ledger"} <= set(found.looked_at)
 
 
+@pytest.mark.slow
 def test_a_load_that_ends_inside_a_step_gives_its_impulse_by_the_mends_that_are_named():
     """A free rod pulled along itself by 1 N for 0.25 s has a momentum of 0.25 N s."""
     scene = CORNERED["loads[0].force"]

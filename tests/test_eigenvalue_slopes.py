@@ -76,6 +76,7 @@ def of_bent_rod(parameters):
 value_and_slopes = jit(jax.value_and_grad(of_bent_rod))
 
 
+@pytest.mark.slow
 def test_a_rod_bent_to_a_circle():
     at = jnp.asarray([1.0, 1.0, 0.3])
     value = lambda at: value_and_slopes(at)[0]

@@ -20,7 +20,7 @@ from rodjax.scene import Scene
 from rodjax.schedules import Constant, PiecewiseLinear
 from rodjax.strains import curvature, strains
 
-GRIDS = (32, 56, 100)
+GRIDS = (36, 100)
 RADIUS = 100.0
 """Radius of the 45-degree bend."""
 
@@ -121,7 +121,7 @@ def against_continuum(build, dead=(0.0, 0.0, 0.0), follower=(0.0, 0.0, 0.0)):
     position, tangent = continuum(build(GRIDS[0]), dead, follower, guess)
     size = np.linalg.norm(position)
     errors = [np.linalg.norm(tip(state)[0] - position) / size for state in states]
-    assert errors[2] < 1e-3
+    assert errors[-1] < 1e-3
     assert abs(order_of(1 / np.array(GRIDS), errors) - 2) < 0.1
     return position, tangent, states
 
@@ -132,14 +132,14 @@ def test_elastica(load):
     position, tangent, states = against_continuum(lambda n: cantilever(n, force=dead), dead)
     of = lambda p, t: np.array([p[0], 1 - p[2], np.arctan2(t[0], t[2])])
     np.testing.assert_allclose(of(position, tangent), ELASTICA[load], atol=6e-7)
-    np.testing.assert_allclose(of(*tip(states[2])), ELASTICA[load], rtol=1e-3)
+    np.testing.assert_allclose(of(*tip(states[-1])), ELASTICA[load], rtol=1e-3)
 
 
 @pytest.mark.parametrize("load", BEND)
 def test_bend_of_45_degrees(load):
     position, _, states = against_continuum(lambda n: bend(n, load), (0.0, 0.0, load))
     np.testing.assert_allclose(position, BEND[load], atol=6e-4)
-    np.testing.assert_allclose(tip(states[2])[0], position, rtol=1e-3)
+    np.testing.assert_allclose(tip(states[-1])[0], position, rtol=1e-3)
 
 
 def test_follower_force():
@@ -157,7 +157,7 @@ def test_roll_up_closes_a_circle():
         np.testing.assert_allclose(state.quaternion[-1], -state.quaternion[0], atol=1e-9)
         across = np.linalg.norm(state.position[n // 2] - state.position[0])
         errors.append(abs(across * np.pi - 1))
-    assert errors[2] < 1e-3
+    assert errors[-1] < 1e-3
     assert abs(order_of(1 / np.array(GRIDS), errors) - 2) < 0.1
 
 
@@ -175,7 +175,7 @@ def test_sag_under_gravity():
     # the tip's sag happens to be exact on every grid, up to the square of the slope
     assert max(linear_errors(weight / 8, lambda n: n, gravity=weight)) < 1e-7
     errors = linear_errors(1.0625 * weight / 24, lambda n: n // 2, gravity=weight)
-    assert errors[2] < 1e-3
+    assert errors[-1] < 1e-3
     assert abs(order_of(1 / np.array(GRIDS), errors) - 2) < 0.1
 
 
@@ -183,7 +183,7 @@ def test_shear_compliance_is_timoshenkos():
     force, give = 3e-4, 0.5
     load = {"force": (force, 0.0, 0.0), "compliance": (give, give, 0.0)}
     errors = linear_errors(force / 3 + force * give, lambda n: n, **load)
-    assert errors[2] < 1e-3
+    assert errors[-1] < 1e-3
     assert abs(order_of(1 / np.array(GRIDS), errors) - 2) < 0.1
 
 
@@ -317,7 +317,7 @@ def test_bad_input_is_refused():
 
 
 @pytest.mark.parametrize(
-    "kind", ["jacfwd", "vmap", *map(slow, ("jacrev", "hessian", "vmap of grad"))]
+    "kind", ["jacfwd", *map(slow, ("vmap", "jacrev", "hessian", "vmap of grad"))]
 )
 def test_transformations_without_a_callers_jit(kind):
     """A small moment turns the tip by m L/A: derivatives and maps are known."""

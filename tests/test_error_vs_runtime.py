@@ -66,6 +66,7 @@ def test_every_grid_has_the_recorded_points(name):
         assert steps % len(problem.times) == 0
 
 
+@pytest.mark.slow
 def test_methods_run_what_they_can():
     compliant, stiff = PROBLEMS["cantilever"], PROBLEMS["cantilever_inextensible"]
     static, contact = PROBLEMS["bend"], PROBLEMS["example"]

@@ -241,6 +241,7 @@ def test_values_that_coincide_have_their_mean_derivative():
     np.testing.assert_allclose(slopes, 0.5 * both, rtol=1e-4)
 
 
+@pytest.mark.slow
 def test_modes_without_mass_leave_values_and_derivatives_alone():
     # three elements between a clamp and a slider have one mode with mass in either plane
     rod = straight_rod(1.0, 3, Section((1.0, 1.0, 0.8), mass=1.0))

@@ -123,6 +123,7 @@ def test_cantilever_frequency(cantilever):
     assert frequency(scene, state, expected, value) == pytest.approx(expected, rel=1e-3)
 
 
+@pytest.mark.slow
 def test_torsion_waves(cantilever):
     scene = cantilever
     speed = np.sqrt(5e6 / 1500)

@@ -37,6 +37,7 @@ def catenary(pull):
     return np.array([pull / WEIGHT * np.arcsinh(WEIGHT / pull), 0.0, -vertical / WEIGHT])
 
 
+@pytest.mark.slow
 def test_a_chain_pulled_sideways():
     scene = hung()
     state, info = equilibrium(scene, placing(scene))

@@ -70,6 +70,7 @@ def sideways(state):
     return float(jnp.max(jnp.linalg.norm(state.position[:, :2], axis=1)))
 
 
+@pytest.mark.slow
 def test_uniform_curvature_is_no_imperfection_between_clamps():
     rod = straight_rod(
         1.0,

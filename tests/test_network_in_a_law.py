@@ -21,6 +21,7 @@ class Network(rx.AbstractLaw):
         return jax.nn.softplus(jnp.vectorize(lambda a: self.net(a[None])[0])(distance))
 
 
+@pytest.mark.slow
 def test_steps_are_traced_differentiated_and_batched():
     rod = rx.straight_rod(1.0, 8, rx.Section((1.0, 1.0, 1.0), mass=0.1, diameter=0.01))
     law = Network(eqx.nn.MLP(1, 1, 4, 1, key=jax.random.key(0)))

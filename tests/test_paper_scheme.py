@@ -183,6 +183,7 @@ def test_example_is_twisted_as_by_the_default_scheme():
     assert np.max(sliding[161:]) < 1e-12
 
 
+@pytest.mark.slow
 def test_failed_step_is_reported():
     scene = thin(8)
     method = PaperScheme(max_iterations=1, tolerance=1e-15)

@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from helpers import order_of, slow
+from helpers import order_of
 
 from rodjax import rotations
 from rodjax.consistency import start
@@ -67,7 +67,8 @@ def test_the_same_grid_changes_nothing_but_rounding():
         np.testing.assert_allclose(getattr(new, name), getattr(state, name), atol=1e-12)
 
 
-@pytest.mark.parametrize("finer", [slow(False), True])
+@pytest.mark.slow
+@pytest.mark.parametrize("finer", [False, True])
 def test_errors_are_of_second_order(finer):
     """Against the rod built on the new grid itself: places, frames, strains and rates."""
     sizes, errors = [10, 20, 40], []

@@ -75,6 +75,7 @@ def test_a_rod_without_inertia_has_no_waves_to_resolve():
     assert int(run(relaxing, 1.0, steps=3).result) == Result.SUCCESS
 
 
+@pytest.mark.slow
 def test_the_verdict_comes_out_of_traced_code_without_derivatives():
     scene = cantilever(1e13)
 

@@ -14,6 +14,7 @@ from rodjax.scene import Scene
 from rodjax.strains import element_quaternions
 
 
+@pytest.mark.slow
 def test_a_massless_rod_settles_from_a_rough_start():
     elements = 12
     section = Section(stiffness=(1.0, 1.0, 0.7), mass=None)

@@ -63,6 +63,7 @@ def driven():
     return Scene(rod, Clamped(shift, turn), Slider((0.0, 0.3, 1.0)), loads)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("make", [cantilever, slow(driven)])
 def test_steps_converge_to_the_differential_equation(make):
     scene = make()

@@ -18,7 +18,7 @@ from rodjax.schedules import Constant
 from rodjax.small_vibration import vibration
 
 # multiples of eight: elements of equal length with the neck's ends on nodes
-GRIDS = (16, 32, 64)
+GRIDS = (20, 64)
 FINE = 128
 
 UNIFORM_MOMENT, NECKED_MOMENT = 8.986819, 7.531815

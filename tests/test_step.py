@@ -87,6 +87,7 @@ def test_consistent_start_has_the_rates_of_the_ends():
     np.testing.assert_allclose(jax.jacfwd(stretch)(0.0), 0.0, atol=1e-12)
 
 
+@pytest.mark.slow
 def test_a_rod_in_single_precision_stays_in_it():
     """Where double precision is the default, so that settings and drives are in it."""
     scene = driven_scene(6)

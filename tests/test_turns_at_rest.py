@@ -105,6 +105,7 @@ def test_a_turn_at_once_is_refused():
     np.testing.assert_allclose(torque(scene, state)[0], C * 2 * np.pi * 0.2, rtol=1e-9)
 
 
+@pytest.mark.slow
 def test_a_cantilever_turned_over_comes_back():
     """Seven turns of the clamp about an axis across the rod, with a force that does not turn."""
     rod = straight_rod(1.0, 8, SECTION)

@@ -66,6 +66,7 @@ def test_a_run_says_that_nothing_excites_its_modes(name):
         rx.rollout(scene, rx.start(scene), TIMES)
 
 
+@pytest.mark.slow
 def test_an_adaptive_run_says_so_too():
     scene, _ = TOO_MUCH["pressed"]
     with pytest.warns(ModelWarning, match=r"Give it an imperfection, rodjax.imperfect\(rod\)"):
