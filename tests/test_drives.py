@@ -23,6 +23,9 @@ from rodjax.scene import Scene
 from rodjax.schedules import Function, PiecewiseLinear
 from rodjax.step_control import StepControl
 
+# many turns in a straight rod are what these tests are about
+pytestmark = pytest.mark.filterwarnings("ignore:the rod ends straight")
+
 UP = (0.0, 0.0, 1.0)
 DRAG = (LinearDrag(1.0, 1.0, 1e-2),)
 ROD = straight_rod(1.0, 12, UNIT_SECTION)

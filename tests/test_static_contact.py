@@ -36,6 +36,7 @@ def found():
     return scene, state, info, through
 
 
+@pytest.mark.slow
 def test_contact_carries_the_load(found):
     scene, state, _, through = found
     motion = at_rest(state.time, state.position, state.quaternion)
