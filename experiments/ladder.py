@@ -29,7 +29,7 @@ import rodjax as rx
 from rodjax import newton
 from rodjax.compilation import compiled
 from rodjax.coupled import find_nearby
-from rodjax.load_path import placing
+from rodjax.placing import placing
 from rodjax.step_equations import StepEquations
 
 jax.config.update("jax_enable_compilation_cache", False)

@@ -31,9 +31,10 @@ from rodjax.compilation import compiled
 from rodjax.consistency import start
 from rodjax.fixed_rollout import rollout
 from rodjax.generalized_alpha import GeneralizedAlpha
-from rodjax.load_path import equilibrium, placing
+from rodjax.load_path import equilibrium
 from rodjax.observations import positions_at
 from rodjax.paper_scheme import paper_rollout
+from rodjax.placing import placing
 from rodjax.results import Result
 from rodjax.run import Run
 from rodjax.scene import Scene

@@ -49,7 +49,6 @@ from rodjax.generalized_alpha import GeneralizedAlpha as GeneralizedAlpha
 from rodjax.imperfection import imperfect as imperfect
 from rodjax.linear_stability import stability as stability
 from rodjax.load_path import equilibrium as equilibrium
-from rodjax.load_path import placing as placing
 from rodjax.loads import AbstractLoad as AbstractLoad
 from rodjax.loads import DistributedLoad as DistributedLoad
 from rodjax.loads import Gravity as Gravity
@@ -58,6 +57,7 @@ from rodjax.loads import MorisonDrag as MorisonDrag
 from rodjax.loads import PointLoad as PointLoad
 from rodjax.observations import Observations as Observations
 from rodjax.observations import positions_at as positions_at
+from rodjax.placing import placing as placing
 from rodjax.priors import LogNormalPrior as LogNormalPrior
 from rodjax.priors import NormalPrior as NormalPrior
 from rodjax.regridding import regrid as regrid

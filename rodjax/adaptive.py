@@ -18,8 +18,8 @@ from rodjax.coarseness import warn_if_hopeless
 from rodjax.compilation import compiled
 from rodjax.consistency import compiled_restart, start
 from rodjax.generalized_alpha import GeneralizedAlpha
-from rodjax.load_path import placing
 from rodjax.pace import Pace
+from rodjax.placing import placing
 from rodjax.results import Interrupted, Result, as_code
 from rodjax.run import Run, join_runs
 from rodjax.scene import Scene

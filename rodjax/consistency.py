@@ -22,10 +22,10 @@ from rodjax.block_tridiagonal import BlockTridiagonal
 from rodjax.compilation import compiled
 from rodjax.failure import not_a_number
 from rodjax.framing import of_one_sign
-from rodjax.loads import NodeMotion, total_wrench
+from rodjax.loads import total_wrench
 from rodjax.overlap import check_apart
 from rodjax.scene import Scene, projectors
-from rodjax.state import State
+from rodjax.state import NodeMotion, State
 from rodjax.strains import Strains, relative_rotation, strains
 from rodjax.validation import check_finite, check_numbers, check_scalar
 

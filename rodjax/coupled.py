@@ -20,9 +20,9 @@ from rodjax.batching import one_by_one
 from rodjax.block_tridiagonal import BlockTridiagonal, Factors
 from rodjax.contact import Contact, Level, Sites, interpolate, levels, sites, spread
 from rodjax.contact_forces import forces_and_derivative, gather, joints_of
-from rodjax.loads import NodeMotion
 from rodjax.scene import Scene
 from rodjax.screening import Near, search
+from rodjax.state import NodeMotion
 
 
 class Nearby(NamedTuple):

@@ -21,11 +21,11 @@ from rodjax.contact_energy import contact_energy as energy_of_contact
 from rodjax.contact_energy import has_potential, stored
 from rodjax.contact_laws import PairProperties, ignores_approach
 from rodjax.coupled import Nearby, find_nearby
-from rodjax.loads import Gravity, LinearDrag, MorisonDrag, NodeMotion, total_wrench
+from rodjax.loads import Gravity, LinearDrag, MorisonDrag, total_wrench
 from rodjax.rod import Rod
 from rodjax.run import Run
 from rodjax.scene import Scene, projectors
-from rodjax.state import State
+from rodjax.state import NodeMotion, State
 from rodjax.step_equations import free_balance
 from rodjax.strains import curvature, strains
 

@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from rodjax.loads import NodeMotion
+from rodjax.state import NodeMotion
 
 
 def node_inertia(rod) -> tuple[Float[Array, " nodes"], Float[Array, "nodes 3"] | None]:

@@ -17,7 +17,7 @@ from jaxtyping import Array, Float, Int
 
 from rodjax import newton, results, rotations
 from rodjax.argument_types import Number
-from rodjax.arguments import check_motion, check_scene
+from rodjax.arguments import check_motion
 from rodjax.compilation import compiled
 from rodjax.failure import not_a_number
 from rodjax.overlap import check_apart, overcome
@@ -38,7 +38,6 @@ from rodjax.statics import StaticEquations, imbalance, ramp_at
 from rodjax.validation import (
     all_known,
     as_integer,
-    check_finite,
     check_integer,
     check_positive,
     check_scalar,
@@ -66,24 +65,6 @@ class EquilibriumInfo(NamedTuple):
     reached: Float[Array, ""]  # how far along the path, 1 at its end
     unstable: Int[Array, ""]  # unstable modes of the equilibrium (see `unstable_modes`)
     descent: Int[Array, ""]  # steps of descents from unstable equilibria
-
-
-def placing(scene: Scene, time: Number | Float[Array, ""] = 0.0) -> State:
-    """The rod at rest as it was built, without internal force: where a load path may start.
-
-    Args:
-        scene: whose rod it is.
-        time: of the state [s].
-    """
-    check_scene(scene)
-    check_scalar(time=time)
-    check_finite(time=time)
-    rod = scene.rod
-    dtype = rod.position.dtype
-    rate = jnp.zeros((rod.elements + 1, 6), dtype)
-    force = jnp.zeros((rod.elements, 3), dtype)
-    now = jnp.asarray(time, dtype)
-    return State(now, rod.position, rod.quaternion, rate, rate, rate, force)
 
 
 def equilibrium(

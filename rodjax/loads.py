@@ -8,7 +8,7 @@ import abc
 import functools
 import operator
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -17,6 +17,7 @@ from jaxtyping import Array, Float, Int
 from rodjax import rotations
 from rodjax.rod import Rod
 from rodjax.schedules import AbstractSchedule, check_schedule
+from rodjax.state import NodeMotion
 from rodjax.user_functions import check_function
 from rodjax.validation import (
     as_float,
@@ -33,24 +34,6 @@ from rodjax.validation import (
     known,
     shown,
 )
-
-
-class NodeMotion(NamedTuple):
-    """Configuration and rates of the nodes that a load sees.
-
-    Attributes:
-        time: [s].
-        position: (n+1, 3), inertial components [m].
-        quaternion: (n+1, 4), real part first: frames of the nodes, body to inertial.
-        velocity: (n+1, 3), inertial components [m/s].
-        angular_velocity: (n+1, 3), body components [rad/s].
-    """
-
-    time: Float[Array, ""]
-    position: Float[Array, "nodes 3"]
-    quaternion: Float[Array, "nodes 4"]
-    velocity: Float[Array, "nodes 3"]
-    angular_velocity: Float[Array, "nodes 3"]
 
 
 def _check_coefficients(**values):

@@ -9,11 +9,11 @@ from jax import lax
 from jaxtyping import Array, Float
 
 from rodjax import ends, rotations
-from rodjax.loads import NodeMotion, total_wrench
+from rodjax.loads import total_wrench
 from rodjax.paper_solvers import AbstractSolver, Linearized
 from rodjax.rod import Rod
 from rodjax.scene import Scene, projectors
-from rodjax.state import State
+from rodjax.state import NodeMotion, State
 
 
 class Fields(eqx.Module):

@@ -10,10 +10,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from rodjax import measures, rotations
+from rodjax import rotations
 from rodjax.compilation import compiled
 from rodjax.scene import Scene, projectors
 from rodjax.state import State
+from rodjax.winding import twist, writhe_of
 
 # A passage changes Lk by 2, an element folded by more than half a turn its polygon's Lk by 1,
 # rounding by far less; so far may it be off [turns].
@@ -26,7 +27,7 @@ _SIDE_BY_SIDE = -0.99
 @compiled
 def linking_number(scene: Scene, state: State) -> Float[Array, ""]:
     """Lk = Tw + Wr of a state, extended straight at both ends unless the rod is a ring [turns]."""
-    return measures.twist(state) + measures.writhe_of(scene.closed, state)
+    return twist(state) + writhe_of(scene.closed, state)
 
 
 def passed_unseen(scene: Scene, before: State, after: State) -> bool:

@@ -15,9 +15,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from rodjax.ends import AbstractEnd
-from rodjax.loads import AbstractLoad, NodeMotion
+from rodjax.loads import AbstractLoad
 from rodjax.results import STEP_FAILED
 from rodjax.rod import Rod
+from rodjax.state import NodeMotion
 
 _ERRORS = (ArithmeticError, LookupError, TypeError, ValueError, *STEP_FAILED)
 

@@ -29,10 +29,10 @@ from jaxtyping import Array, Float
 from rodjax import balance, ends, rotations
 from rodjax.consistency import start
 from rodjax.inertia import node_inertia
-from rodjax.loads import NodeMotion, total_wrench
+from rodjax.loads import total_wrench
 from rodjax.rod import Rod
 from rodjax.scene import Scene, projectors
-from rodjax.state import State
+from rodjax.state import NodeMotion, State
 from rodjax.strains import strains
 
 

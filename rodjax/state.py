@@ -1,4 +1,6 @@
-"""What the next step needs to know, and nothing else."""
+"""What the next step needs to know, and nothing else; and what loads see of it."""
+
+from typing import NamedTuple
 
 import equinox as eqx
 from jaxtyping import Array, Float, Int
@@ -43,3 +45,21 @@ class State(eqx.Module):
     def angular_velocity(self) -> Float[Array, "... nodes 3"]:
         """omega in body components [rad/s]."""
         return self.rate[..., 3:]
+
+
+class NodeMotion(NamedTuple):
+    """Configuration and rates of the nodes that a load sees.
+
+    Attributes:
+        time: [s].
+        position: (n+1, 3), inertial components [m].
+        quaternion: (n+1, 4), real part first: frames of the nodes, body to inertial.
+        velocity: (n+1, 3), inertial components [m/s].
+        angular_velocity: (n+1, 3), body components [rad/s].
+    """
+
+    time: Float[Array, ""]
+    position: Float[Array, "nodes 3"]
+    quaternion: Float[Array, "nodes 4"]
+    velocity: Float[Array, "nodes 3"]
+    angular_velocity: Float[Array, "nodes 3"]

@@ -21,10 +21,10 @@ from rodjax.argument_types import Number
 from rodjax.balance import Internal, Scales
 from rodjax.coupled import CoupledSystem, couple, find_nearby
 from rodjax.inertia import node_jacobian
-from rodjax.loads import NodeMotion, total_wrench
+from rodjax.loads import total_wrench
 from rodjax.results import Result
 from rodjax.scene import Scene, projectors
-from rodjax.state import State
+from rodjax.state import NodeMotion, State
 
 Factor = Number | Float[Array, ""]
 

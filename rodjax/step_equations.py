@@ -14,9 +14,9 @@ from rodjax.batching import one_by_one
 from rodjax.coupled import CoupledSystem, Coupling, Nearby, couple
 from rodjax.generalized_alpha import advance, coefficients, predicted_increment
 from rodjax.inertia import inertial_wrench, node_jacobian
-from rodjax.loads import NodeMotion, total_wrench
+from rodjax.loads import total_wrench
 from rodjax.scene import Scene, projectors
-from rodjax.state import State
+from rodjax.state import NodeMotion, State
 
 # Largest rotation of a node that Newton's iteration may begin with [rad].
 _LARGEST_TURN = 1.0

@@ -24,9 +24,9 @@ from rodjax.admissible import allowed, constrained, mean_bending
 from rodjax.block_tridiagonal import BlockTridiagonal
 from rodjax.coupled import Coupling, couple, find_nearby
 from rodjax.eigenvalues import far_above, split
-from rodjax.loads import NodeMotion
 from rodjax.scene import Scene, projectors
 from rodjax.signs import determinant_signs, negative_eigenvalues
+from rodjax.state import NodeMotion
 from rodjax.statics import StaticEquations, load_tangent
 
 # Rows of a block in the order of its columns: (force, constraint, moment).

@@ -17,8 +17,8 @@ from rodjax.contact import Contact
 from rodjax.coupled import find_nearby
 from rodjax.ends import Clamped, Slider, Turn
 from rodjax.generalized_alpha import GeneralizedAlpha
-from rodjax.load_path import placing
 from rodjax.loads import MorisonDrag
+from rodjax.placing import placing
 from rodjax.rod import Rod, Section, circular_section, curved_rod, straight_rod
 from rodjax.run import Run
 from rodjax.scene import Scene

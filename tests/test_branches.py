@@ -9,8 +9,9 @@ from scipy.optimize import brentq
 
 from rodjax.ends import Clamped, Free, Slider, Turn
 from rodjax.energy import reactions
-from rodjax.load_path import equilibrium, placing
+from rodjax.load_path import equilibrium
 from rodjax.loads import PointLoad
+from rodjax.placing import placing
 from rodjax.results import ModelWarning, Result
 from rodjax.rod import Section, straight_rod
 from rodjax.scene import Scene

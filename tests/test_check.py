@@ -19,9 +19,10 @@ from rodjax.corners import corners_inside, warn_of_corners
 from rodjax.ends import Clamped, Free, Slider, Turn
 from rodjax.fixed_rollout import rollout
 from rodjax.linear_stability import stability
-from rodjax.load_path import equilibrium, placing
+from rodjax.load_path import equilibrium
 from rodjax.loads import Gravity, LinearDrag, PointLoad
 from rodjax.numerical_damping import amplification, estimate
+from rodjax.placing import placing
 from rodjax.results import ModelWarning, Result, as_code
 from rodjax.rod import curved_rod, straight_rod
 from rodjax.run import Run

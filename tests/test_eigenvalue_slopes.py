@@ -10,8 +10,9 @@ from rodjax.compilation import jit
 from rodjax.eigenvalues import lowest
 from rodjax.ends import Clamped, Slider
 from rodjax.linear_stability import stability
-from rodjax.load_path import equilibrium, placing
+from rodjax.load_path import equilibrium
 from rodjax.loads import PointLoad
+from rodjax.placing import placing
 from rodjax.rod import Section, curved_rod, straight_rod
 from rodjax.scene import Scene
 from rodjax.schedules import Constant

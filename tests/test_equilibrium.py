@@ -12,8 +12,9 @@ from scipy.spatial.transform import Rotation
 
 from rodjax import rotations
 from rodjax.ends import Clamped, Free, Pinned, Slider, Switched, Turn
-from rodjax.load_path import equilibrium, placing
+from rodjax.load_path import equilibrium
 from rodjax.loads import Gravity, PointLoad
+from rodjax.placing import placing
 from rodjax.results import Result, SimulationError
 from rodjax.rod import Section, curved_rod, straight_rod
 from rodjax.scene import Scene

@@ -9,8 +9,9 @@ from rodjax.consistency import start
 from rodjax.ends import Clamped, Turn
 from rodjax.extrapolation import extrapolate
 from rodjax.generalized_alpha import GeneralizedAlpha
-from rodjax.load_path import equilibrium, placing
+from rodjax.load_path import equilibrium
 from rodjax.loads import PointLoad
+from rodjax.placing import placing
 from rodjax.rod import Section, straight_rod
 from rodjax.scene import Scene
 from rodjax.schedules import Constant, Function

@@ -16,8 +16,8 @@ from scipy.optimize import brentq
 from rodjax import rotations
 from rodjax.ends import Clamped, Slider
 from rodjax.linear_stability import stability
-from rodjax.load_path import placing
 from rodjax.loads import DistributedLoad, LinearDrag, MorisonDrag, PointLoad
+from rodjax.placing import placing
 from rodjax.rod import Section, straight_rod
 from rodjax.scene import Scene
 from rodjax.schedules import Constant

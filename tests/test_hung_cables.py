@@ -9,8 +9,9 @@ from scipy.optimize import brentq
 
 from rodjax.ends import Free, Pinned
 from rodjax.energy import reactions
-from rodjax.load_path import equilibrium, placing
+from rodjax.load_path import equilibrium
 from rodjax.loads import Gravity, MorisonDrag, PointLoad
+from rodjax.placing import placing
 from rodjax.results import ModelWarning, Result
 from rodjax.rod import Section, circular_section, curved_rod, straight_rod
 from rodjax.scene import Scene

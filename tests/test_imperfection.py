@@ -10,8 +10,9 @@ from scipy.special import ellipe, ellipk
 from rodjax import energy
 from rodjax.ends import AbstractEnd, Turn
 from rodjax.imperfection import imperfect
-from rodjax.load_path import equilibrium, placing
+from rodjax.load_path import equilibrium
 from rodjax.loads import PointLoad
+from rodjax.placing import placing
 from rodjax.results import ModelWarning
 from rodjax.rod import Section, straight_rod
 from rodjax.scene import Scene

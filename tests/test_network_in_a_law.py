@@ -5,7 +5,7 @@ import jax
 import jax.numpy as jnp
 
 import rodjax as rx
-from rodjax.load_path import placing
+from rodjax.placing import placing
 from rodjax.stepping import step
 
 

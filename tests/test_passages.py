@@ -14,7 +14,7 @@ from rodjax.contact import Contact
 from rodjax.contact_laws import DampedInversePower
 from rodjax.ends import Clamped, Pinned, Slider, Turn
 from rodjax.fixed_rollout import rollout
-from rodjax.load_path import placing
+from rodjax.placing import placing
 from rodjax.results import ModelWarning, Result, SimulationError
 from rodjax.rod import circular_section, curved_rod, straight_rod
 from rodjax.scene import Scene

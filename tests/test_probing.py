@@ -117,7 +117,7 @@ def test_in_traced_code_too():
 
 
 def motion_of(rod):
-    from rodjax.loads import NodeMotion
+    from rodjax.state import NodeMotion
 
     still = jnp.zeros_like(rod.position)
     return NodeMotion(jnp.asarray(0.0), rod.position, rod.quaternion, still, still)

@@ -14,7 +14,7 @@ import rodjax as rx
 from rodjax import overlap
 from rodjax.contact_laws import PairProperties
 from rodjax.coupled import find_nearby
-from rodjax.load_path import placing
+from rodjax.placing import placing
 
 D = 0.1  # of the strands of `meeting`
 FORCE = 7.0

@@ -10,8 +10,8 @@ from helpers import order_of
 from rodjax import rotations
 from rodjax.ends import Clamped, Free, Pinned, Slider
 from rodjax.linear_stability import stability
-from rodjax.load_path import placing
 from rodjax.loads import LinearDrag, PointLoad
+from rodjax.placing import placing
 from rodjax.rod import Section, straight_rod
 from rodjax.scene import Scene
 from rodjax.schedules import Constant

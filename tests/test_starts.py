@@ -13,8 +13,9 @@ from rodjax.adaptive import adaptive_rollout
 from rodjax.consistency import start
 from rodjax.ends import AbstractEnd, Clamped, Free, Pinned, Slider, Switched, Turn
 from rodjax.fixed_rollout import rollout
-from rodjax.load_path import equilibrium, placing
+from rodjax.load_path import equilibrium
 from rodjax.loads import Gravity, LinearDrag, PointLoad
+from rodjax.placing import placing
 from rodjax.results import Result
 from rodjax.rigid_motions import check_held
 from rodjax.rod import Section, circular_section, curved_rod, straight_rod

@@ -11,8 +11,9 @@ from rodjax.contact import Contact
 from rodjax.contact_laws import InversePower
 from rodjax.ends import Clamped, Free
 from rodjax.linear_stability import stability
-from rodjax.load_path import equilibrium, placing
+from rodjax.load_path import equilibrium
 from rodjax.loads import PointLoad
+from rodjax.placing import placing
 from rodjax.scene import Scene
 from rodjax.schedules import Constant
 from rodjax.statics import at_rest, static_balance

@@ -10,8 +10,8 @@ import pytest
 from rodjax.contact import Contact
 from rodjax.contact_laws import InversePower
 from rodjax.ends import Clamped, Slider, Switched
-from rodjax.load_path import placing
 from rodjax.loads import Gravity, MorisonDrag
+from rodjax.placing import placing
 from rodjax.rod import Section, straight_rod
 from rodjax.scene import Scene
 from rodjax.stepping import prepare, step

@@ -12,8 +12,8 @@ from rodjax import measures
 from rodjax.ends import Clamped, Free, Slider, Turn
 from rodjax.energy import reactions
 from rodjax.load_path import equilibrium as stable_equilibrium
-from rodjax.load_path import placing
 from rodjax.loads import PointLoad
+from rodjax.placing import placing
 from rodjax.results import ModelWarning, Result
 from rodjax.rod import Section, straight_rod
 from rodjax.scene import Scene

@@ -11,8 +11,8 @@ from rodjax.contact import Contact
 from rodjax.contact_laws import Penalty
 from rodjax.coupled import find_nearby
 from rodjax.ends import Clamped, Free, Pinned, Slider
-from rodjax.load_path import placing
 from rodjax.loads import PointLoad
+from rodjax.placing import placing
 from rodjax.rod import Section, straight_rod
 from rodjax.scene import Scene
 from rodjax.schedules import Constant
