@@ -38,7 +38,7 @@ from runtime_report import (
 )
 from runtime_scenes import PROBLEMS, Problem, errors
 
-from rodjax.extrapolation import extrapolate
+from rodjax.measuring.extrapolation import extrapolate
 
 BEGAN = time.perf_counter()
 QUICK_SCENES = ("cantilever",)

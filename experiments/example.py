@@ -9,13 +9,13 @@ import dataclasses
 import jax.numpy as jnp
 import numpy as np
 
-from rodjax.contact import Contact
-from rodjax.contact_laws import DampedInversePower
-from rodjax.ends import Clamped, Slider, Switched, Turn
-from rodjax.loads import MorisonDrag
-from rodjax.rod import Rod, circular_section, straight_rod
-from rodjax.scene import Scene
-from rodjax.schedules import PiecewiseLinear
+from rodjax.constraints.ends import Clamped, Slider, Switched, Turn
+from rodjax.inputs.schedules import PiecewiseLinear
+from rodjax.interactions.contact import Contact
+from rodjax.interactions.contact_laws import DampedInversePower
+from rodjax.interactions.loads import MorisonDrag
+from rodjax.rods.rod import Rod, circular_section, straight_rod
+from rodjax.scenes.scene import Scene
 
 LOADING_AXIS = (0.0, 1.0, 0.0)  # e2; the rod lies along it, its right end s = 0 at the origin
 LENGTH = 1.0  # [m]

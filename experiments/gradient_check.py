@@ -35,15 +35,15 @@ from jaxtyping import Array, Float
 from tqdm import tqdm
 
 from rodjax import measures
-from rodjax.adaptive import adaptive_rollout
-from rodjax.compilation import compiled
-from rodjax.consistency import start
-from rodjax.fixed_rollout import rollout
-from rodjax.generalized_alpha import GeneralizedAlpha
-from rodjax.run import Run
-from rodjax.scene import Scene
-from rodjax.state import State
-from rodjax.step_control import StepControl
+from rodjax.dynamics.adaptive import adaptive_rollout
+from rodjax.dynamics.consistency import start
+from rodjax.dynamics.fixed_rollout import rollout
+from rodjax.dynamics.run import Run
+from rodjax.dynamics.step_control import StepControl
+from rodjax.equations.generalized_alpha import GeneralizedAlpha
+from rodjax.numerics.compilation import compiled
+from rodjax.rods.state import State
+from rodjax.scenes.scene import Scene
 
 # before buckling, in the loop, at first contact, intertwined [s]
 TIMES = {"timeline": (15.0, 25.0, 29.2, 32.0), "stout": (8.0, 10.0, 10.6, 11.0)}

@@ -35,15 +35,15 @@ from intertwine_results import (
 from tqdm import tqdm
 
 from rodjax import storage
-from rodjax.adaptive import adaptive_rollout, compile_adaptive_rollout
-from rodjax.consistency import start
-from rodjax.fixed_rollout import rollout
-from rodjax.generalized_alpha import GeneralizedAlpha
-from rodjax.results import MESSAGES, Result
-from rodjax.run import Run, join_runs
-from rodjax.scene import Scene
-from rodjax.state import State
-from rodjax.step_control import StepControl
+from rodjax.dynamics.adaptive import adaptive_rollout, compile_adaptive_rollout
+from rodjax.dynamics.consistency import start
+from rodjax.dynamics.fixed_rollout import rollout
+from rodjax.dynamics.run import Run, join_runs
+from rodjax.dynamics.step_control import StepControl
+from rodjax.equations.generalized_alpha import GeneralizedAlpha
+from rodjax.numerics.results import MESSAGES, Result
+from rodjax.rods.state import State
+from rodjax.scenes.scene import Scene
 
 CHUNK = 20  # accepted steps between two looks at the progress
 

@@ -10,10 +10,10 @@ from example import FROM_PAPER, LOADING_AXIS, Preset
 from jax import lax
 
 from rodjax import energy, measures, plot
-from rodjax.compilation import compiled
-from rodjax.results import MESSAGES, Result
-from rodjax.run import Run
-from rodjax.scene import Scene
+from rodjax.dynamics.run import Run
+from rodjax.numerics.compilation import compiled
+from rodjax.numerics.results import MESSAGES, Result
+from rodjax.scenes.scene import Scene
 
 SNAPSHOT_TIMES = (20.0, 25.0, 29.0, 32.0)
 

@@ -26,11 +26,11 @@ import numpy as np
 from example import PRESETS, contact_law, drive, rod, scene
 
 import rodjax as rx
-from rodjax import newton
-from rodjax.compilation import compiled
-from rodjax.coupled import find_nearby
-from rodjax.placing import placing
-from rodjax.step_equations import StepEquations
+from rodjax.equations.coupled import find_nearby
+from rodjax.equations.step_equations import StepEquations
+from rodjax.numerics import newton
+from rodjax.numerics.compilation import compiled
+from rodjax.scenes.placing import placing
 
 jax.config.update("jax_enable_compilation_cache", False)
 

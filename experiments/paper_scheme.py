@@ -25,9 +25,9 @@ import numpy as np
 from jax import lax
 
 import rodjax as rx
-from rodjax.paper_scheme import PaperScheme, fields_of, paper_step
-from rodjax.paper_solvers import Shooting
-from rodjax.results import Result
+from rodjax.numerics.results import Result
+from rodjax.reference.paper_scheme import PaperScheme, fields_of, paper_step
+from rodjax.reference.paper_solvers import Shooting
 
 FIELDS = {"position": "position", "rate": "velocities", "force": "internal force"}
 NAMES = {"paper": "paper's scheme", "default": "default scheme"}

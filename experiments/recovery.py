@@ -18,10 +18,10 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import rodjax as rx
-from rodjax.run import Run
-from rodjax.scene import Scene
-from rodjax.state import State
-from rodjax.step_control import StepControl
+from rodjax.dynamics.run import Run
+from rodjax.dynamics.step_control import StepControl
+from rodjax.rods.state import State
+from rodjax.scenes.scene import Scene
 
 MARKERS = 10  # elements of the fit's grid must be a multiple
 NOISE = 0.01  # standard deviation over the rms displacement

@@ -26,19 +26,19 @@ from runtime_scenes import Problem, Record, at_points
 from scipy.interpolate import CubicSpline
 
 from rodjax import energy, measures, semidiscrete
-from rodjax.adaptive import adaptive_rollout
-from rodjax.compilation import compiled
-from rodjax.consistency import start
-from rodjax.fixed_rollout import rollout
-from rodjax.generalized_alpha import GeneralizedAlpha
-from rodjax.load_path import equilibrium
-from rodjax.observations import positions_at
-from rodjax.paper_scheme import paper_rollout
-from rodjax.placing import placing
-from rodjax.results import Result
-from rodjax.run import Run
-from rodjax.scene import Scene
-from rodjax.step_control import StepControl
+from rodjax.dynamics.adaptive import adaptive_rollout
+from rodjax.dynamics.consistency import start
+from rodjax.dynamics.fixed_rollout import rollout
+from rodjax.dynamics.run import Run
+from rodjax.dynamics.step_control import StepControl
+from rodjax.equations.generalized_alpha import GeneralizedAlpha
+from rodjax.equilibria.load_path import equilibrium
+from rodjax.fitting.observations import positions_at
+from rodjax.numerics.compilation import compiled
+from rodjax.numerics.results import Result
+from rodjax.reference.paper_scheme import paper_rollout
+from rodjax.scenes.placing import placing
+from rodjax.scenes.scene import Scene
 
 LONG = 10.0  # warm seconds after which a case is not repeated again
 

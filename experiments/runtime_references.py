@@ -21,7 +21,7 @@ import numpy as np
 from runtime_methods import Case, Outcome, chosen_steps, fixed_steps, static
 from runtime_scenes import Problem, Record, at_points, errors
 
-from rodjax.extrapolation import extrapolate
+from rodjax.measuring.extrapolation import extrapolate
 
 
 class Reference(NamedTuple):

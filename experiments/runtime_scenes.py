@@ -17,11 +17,11 @@ import numpy as np
 import peer_problems
 from peer_problems import POINTS
 
-from rodjax.ends import Clamped, Free
-from rodjax.loads import PointLoad
-from rodjax.rod import Section, curved_rod
-from rodjax.scene import Scene
-from rodjax.schedules import Constant
+from rodjax.constraints.ends import Clamped, Free
+from rodjax.inputs.schedules import Constant
+from rodjax.interactions.loads import PointLoad
+from rodjax.rods.rod import Section, curved_rod
+from rodjax.scenes.scene import Scene
 
 
 @dataclasses.dataclass(frozen=True)

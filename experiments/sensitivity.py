@@ -22,10 +22,10 @@ import numpy as np
 from example import PRESETS, Preset, scene
 
 from rodjax import energy, measures
-from rodjax.adaptive import adaptive_rollout
-from rodjax.consistency import start
-from rodjax.results import Result
-from rodjax.step_control import StepControl
+from rodjax.dynamics.adaptive import adaptive_rollout
+from rodjax.dynamics.consistency import start
+from rodjax.dynamics.step_control import StepControl
+from rodjax.numerics.results import Result
 
 # closer strands need closer points (see `Contact.points_per_segment`)
 POINTS = {0.1: 12, 1.0: 4, 10.0: 4}

@@ -25,23 +25,23 @@ import scipy.linalg
 from _memory import peak_mib
 from example import PRESETS, contact_law, scene
 
-from rodjax import consistency
-from rodjax.adaptive import compile_adaptive_rollout
-from rodjax.block_tridiagonal import BlockTridiagonal
-from rodjax.compilation import compiled
-from rodjax.contact import interpolate
-from rodjax.contact_forces import joints_of, pair_forces
-from rodjax.coupled import Nearby, find_nearby
-from rodjax.ends import Clamped
-from rodjax.fixed_rollout import rollout
-from rodjax.generalized_alpha import GeneralizedAlpha
-from rodjax.loads import MorisonDrag
-from rodjax.results import Result
-from rodjax.rod import circular_section, curved_rod, straight_rod
-from rodjax.scene import Scene
-from rodjax.state import State
-from rodjax.step_equations import StepEquations
-from rodjax.stepping import prepare, step
+from rodjax.constraints.ends import Clamped
+from rodjax.dynamics import consistency
+from rodjax.dynamics.adaptive import compile_adaptive_rollout
+from rodjax.dynamics.fixed_rollout import rollout
+from rodjax.dynamics.stepping import prepare, step
+from rodjax.equations.coupled import Nearby, find_nearby
+from rodjax.equations.generalized_alpha import GeneralizedAlpha
+from rodjax.equations.step_equations import StepEquations
+from rodjax.interactions.contact import interpolate
+from rodjax.interactions.contact_forces import joints_of, pair_forces
+from rodjax.interactions.loads import MorisonDrag
+from rodjax.numerics.block_tridiagonal import BlockTridiagonal
+from rodjax.numerics.compilation import compiled
+from rodjax.numerics.results import Result
+from rodjax.rods.rod import circular_section, curved_rod, straight_rod
+from rodjax.rods.state import State
+from rodjax.scenes.scene import Scene
 
 jax.config.update("jax_enable_compilation_cache", False)
 

@@ -13,10 +13,10 @@ import numpy as np
 from jax import lax
 
 from rodjax import energy, measures
-from rodjax.compilation import compiled
-from rodjax.run import Run
-from rodjax.scene import Scene, projectors
-from rodjax.stepping import StepInfo
+from rodjax.dynamics.run import Run
+from rodjax.dynamics.stepping import StepInfo
+from rodjax.numerics.compilation import compiled
+from rodjax.scenes.scene import Scene, projectors
 
 AGREEMENT = 0.05  # accurate: the final shape with half the step, over the largest displacement
 BALANCE = 0.05  # accurate: |residual of the energy ledger| over the largest energy in play

@@ -18,11 +18,11 @@ from stability_cells import Case, Cell, build, cells
 from stability_oracle import agreement, measure
 
 import rodjax as rx
-from rodjax.adaptive import compile_adaptive_rollout
-from rodjax.given_steps import until_failure
-from rodjax.results import MESSAGES
-from rodjax.run import Run, join_runs
-from rodjax.stepping import no_info
+from rodjax.dynamics.adaptive import compile_adaptive_rollout
+from rodjax.dynamics.given_steps import until_failure
+from rodjax.dynamics.run import Run, join_runs
+from rodjax.dynamics.stepping import no_info
+from rodjax.numerics.results import MESSAGES
 
 BLOCK = 20  # fixed steps of a cell
 CHUNK = 50

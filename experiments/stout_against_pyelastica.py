@@ -37,15 +37,15 @@ import peer_pyelastica
 from jax import lax
 
 from rodjax import energy, measures, topology
-from rodjax.adaptive import adaptive_rollout, compile_adaptive_rollout
-from rodjax.compilation import compiled
-from rodjax.consistency import start
-from rodjax.contact import Contact
-from rodjax.contact_laws import Penalty
-from rodjax.results import Result
-from rodjax.run import Run
-from rodjax.scene import Scene
-from rodjax.step_control import StepControl
+from rodjax.dynamics.adaptive import adaptive_rollout, compile_adaptive_rollout
+from rodjax.dynamics.consistency import start
+from rodjax.dynamics.run import Run
+from rodjax.dynamics.step_control import StepControl
+from rodjax.interactions.contact import Contact
+from rodjax.interactions.contact_laws import Penalty
+from rodjax.numerics.compilation import compiled
+from rodjax.numerics.results import Result
+from rodjax.scenes.scene import Scene
 
 PRESET = example.PRESETS["stout"]
 UNTIL = 32.0  # [s]

@@ -29,8 +29,8 @@ from tqdm import tqdm
 
 import rodjax as rx
 from rodjax import measures
-from rodjax.compilation import compiled
-from rodjax.sweep import sweep
+from rodjax.files.sweep import sweep
+from rodjax.numerics.compilation import compiled
 
 PRESET = PRESETS["timeline"]
 FACTORS = {  # on the preset's values

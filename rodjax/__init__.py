@@ -15,89 +15,89 @@ Double precision is the caller's choice: `jax.config.update("jax_enable_x64", Tr
 import importlib
 from typing import TYPE_CHECKING
 
-from rodjax.adaptive import adaptive_rollout as adaptive_rollout
-from rodjax.bounds import Fixed as Fixed
-from rodjax.bounds import Interval as Interval
-from rodjax.bounds import Positive as Positive
-from rodjax.bounds import Unbounded as Unbounded
-from rodjax.compilation import jit as jit
-from rodjax.consistency import start as start
-from rodjax.contact import Contact as Contact
-from rodjax.contact_laws import AbstractLaw as AbstractLaw
-from rodjax.contact_laws import Barrier as Barrier
-from rodjax.contact_laws import DampedInversePower as DampedInversePower
-from rodjax.contact_laws import DebyeHueckel as DebyeHueckel
-from rodjax.contact_laws import InversePower as InversePower
-from rodjax.contact_laws import LennardJones as LennardJones
-from rodjax.contact_laws import Penalty as Penalty
-from rodjax.descent import minimize as minimize
-from rodjax.ends import AbstractEnd as AbstractEnd
-from rodjax.ends import Clamped as Clamped
-from rodjax.ends import Free as Free
-from rodjax.ends import Pinned as Pinned
-from rodjax.ends import Slider as Slider
-from rodjax.ends import Switched as Switched
-from rodjax.ends import Turn as Turn
-from rodjax.extrapolation import extrapolate as extrapolate
-from rodjax.fit import least_squares as least_squares
-from rodjax.fit import several_starts as several_starts
-from rodjax.fit_results import Fit as Fit
-from rodjax.fit_results import FitError as FitError
-from rodjax.fit_results import FitResult as FitResult
-from rodjax.fixed_rollout import rollout as rollout
-from rodjax.generalized_alpha import GeneralizedAlpha as GeneralizedAlpha
-from rodjax.imperfection import imperfect as imperfect
-from rodjax.linear_stability import stability as stability
-from rodjax.load_path import equilibrium as equilibrium
-from rodjax.loads import AbstractLoad as AbstractLoad
-from rodjax.loads import DistributedLoad as DistributedLoad
-from rodjax.loads import Gravity as Gravity
-from rodjax.loads import LinearDrag as LinearDrag
-from rodjax.loads import MorisonDrag as MorisonDrag
-from rodjax.loads import PointLoad as PointLoad
-from rodjax.observations import Observations as Observations
-from rodjax.observations import positions_at as positions_at
-from rodjax.placing import placing as placing
-from rodjax.priors import LogNormalPrior as LogNormalPrior
-from rodjax.priors import NormalPrior as NormalPrior
-from rodjax.regridding import regrid as regrid
-from rodjax.results import Interrupted as Interrupted
-from rodjax.results import ModelWarning as ModelWarning
-from rodjax.results import Result as Result
-from rodjax.results import SimulationError as SimulationError
-from rodjax.robust import Huber as Huber
-from rodjax.robust import SoftL1 as SoftL1
-from rodjax.rod import Rod as Rod
-from rodjax.rod import Section as Section
-from rodjax.rod import circular_section as circular_section
-from rodjax.rod import curved_rod as curved_rod
-from rodjax.rod import straight_rod as straight_rod
-from rodjax.run import Run as Run
-from rodjax.run_check import check as check
-from rodjax.scene import Scene as Scene
-from rodjax.schedules import AbstractSchedule as AbstractSchedule
-from rodjax.schedules import Constant as Constant
-from rodjax.schedules import Function as Function
-from rodjax.schedules import PiecewiseLinear as PiecewiseLinear
-from rodjax.schedules import PiecewiseLinearRate as PiecewiseLinearRate
-from rodjax.schedules import Smooth as Smooth
-from rodjax.small_vibration import vibration as vibration
-from rodjax.state import State as State
-from rodjax.step_control import StepControl as StepControl
-from rodjax.stepping import step as step
+from rodjax.constraints.ends import AbstractEnd as AbstractEnd
+from rodjax.constraints.ends import Clamped as Clamped
+from rodjax.constraints.ends import Free as Free
+from rodjax.constraints.ends import Pinned as Pinned
+from rodjax.constraints.ends import Slider as Slider
+from rodjax.constraints.ends import Switched as Switched
+from rodjax.constraints.ends import Turn as Turn
+from rodjax.dynamics.adaptive import adaptive_rollout as adaptive_rollout
+from rodjax.dynamics.consistency import start as start
+from rodjax.dynamics.fixed_rollout import rollout as rollout
+from rodjax.dynamics.run import Run as Run
+from rodjax.dynamics.step_control import StepControl as StepControl
+from rodjax.dynamics.stepping import step as step
+from rodjax.equations.generalized_alpha import GeneralizedAlpha as GeneralizedAlpha
+from rodjax.equilibria.linear_stability import stability as stability
+from rodjax.equilibria.load_path import equilibrium as equilibrium
+from rodjax.equilibria.small_vibration import vibration as vibration
+from rodjax.fitting.bounds import Fixed as Fixed
+from rodjax.fitting.bounds import Interval as Interval
+from rodjax.fitting.bounds import Positive as Positive
+from rodjax.fitting.bounds import Unbounded as Unbounded
+from rodjax.fitting.descent import minimize as minimize
+from rodjax.fitting.fit import least_squares as least_squares
+from rodjax.fitting.fit import several_starts as several_starts
+from rodjax.fitting.fit_results import Fit as Fit
+from rodjax.fitting.fit_results import FitError as FitError
+from rodjax.fitting.fit_results import FitResult as FitResult
+from rodjax.fitting.observations import Observations as Observations
+from rodjax.fitting.observations import positions_at as positions_at
+from rodjax.fitting.priors import LogNormalPrior as LogNormalPrior
+from rodjax.fitting.priors import NormalPrior as NormalPrior
+from rodjax.fitting.robust import Huber as Huber
+from rodjax.fitting.robust import SoftL1 as SoftL1
+from rodjax.inputs.schedules import AbstractSchedule as AbstractSchedule
+from rodjax.inputs.schedules import Constant as Constant
+from rodjax.inputs.schedules import Function as Function
+from rodjax.inputs.schedules import PiecewiseLinear as PiecewiseLinear
+from rodjax.inputs.schedules import PiecewiseLinearRate as PiecewiseLinearRate
+from rodjax.inputs.schedules import Smooth as Smooth
+from rodjax.interactions.contact import Contact as Contact
+from rodjax.interactions.contact_laws import AbstractLaw as AbstractLaw
+from rodjax.interactions.contact_laws import Barrier as Barrier
+from rodjax.interactions.contact_laws import DampedInversePower as DampedInversePower
+from rodjax.interactions.contact_laws import DebyeHueckel as DebyeHueckel
+from rodjax.interactions.contact_laws import InversePower as InversePower
+from rodjax.interactions.contact_laws import LennardJones as LennardJones
+from rodjax.interactions.contact_laws import Penalty as Penalty
+from rodjax.interactions.loads import AbstractLoad as AbstractLoad
+from rodjax.interactions.loads import DistributedLoad as DistributedLoad
+from rodjax.interactions.loads import Gravity as Gravity
+from rodjax.interactions.loads import LinearDrag as LinearDrag
+from rodjax.interactions.loads import MorisonDrag as MorisonDrag
+from rodjax.interactions.loads import PointLoad as PointLoad
+from rodjax.measuring.extrapolation import extrapolate as extrapolate
+from rodjax.measuring.run_check import check as check
+from rodjax.numerics.compilation import jit as jit
+from rodjax.numerics.results import Interrupted as Interrupted
+from rodjax.numerics.results import ModelWarning as ModelWarning
+from rodjax.numerics.results import Result as Result
+from rodjax.numerics.results import SimulationError as SimulationError
+from rodjax.rods.imperfection import imperfect as imperfect
+from rodjax.rods.regridding import regrid as regrid
+from rodjax.rods.rod import Rod as Rod
+from rodjax.rods.rod import Section as Section
+from rodjax.rods.rod import circular_section as circular_section
+from rodjax.rods.rod import curved_rod as curved_rod
+from rodjax.rods.rod import straight_rod as straight_rod
+from rodjax.rods.state import State as State
+from rodjax.scenes.placing import placing as placing
+from rodjax.scenes.scene import Scene as Scene
 
 if TYPE_CHECKING:
-    from rodjax import energy as energy
-    from rodjax import measures as measures
-    from rodjax import paper_scheme as paper_scheme
-    from rodjax import plot as plot
-    from rodjax import rotations as rotations
-    from rodjax import semidiscrete as semidiscrete
-    from rodjax import storage as storage
-    from rodjax import sweep as sweep
-    from rodjax import topology as topology
-    from rodjax import units as units
-    from rodjax import windows as windows
+    from rodjax.dynamics import windows as windows
+    from rodjax.files import plot as plot
+    from rodjax.files import storage as storage
+    from rodjax.files import sweep as sweep
+    from rodjax.files import units as units
+    from rodjax.measuring import energy as energy
+    from rodjax.measuring import measures as measures
+    from rodjax.numerics import rotations as rotations
+    from rodjax.reference import paper_scheme as paper_scheme
+    from rodjax.reference import semidiscrete as semidiscrete
+    from rodjax.rods import topology as topology
 
 __version__ = "0.1.0"
 

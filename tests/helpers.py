@@ -10,22 +10,22 @@ import numpy as np
 import pytest
 from jax import lax
 
-from rodjax import contact_laws as laws
 from rodjax import rotations
-from rodjax.consistency import start
-from rodjax.contact import Contact
-from rodjax.coupled import find_nearby
-from rodjax.ends import Clamped, Slider, Turn
-from rodjax.generalized_alpha import GeneralizedAlpha
-from rodjax.loads import MorisonDrag
-from rodjax.placing import placing
-from rodjax.rod import Rod, Section, circular_section, curved_rod, straight_rod
-from rodjax.run import Run
-from rodjax.scene import Scene
-from rodjax.schedules import Smooth
-from rodjax.state import State
-from rodjax.stepping import no_info, prepare, step
-from rodjax.strains import strains
+from rodjax.constraints.ends import Clamped, Slider, Turn
+from rodjax.dynamics.consistency import start
+from rodjax.dynamics.run import Run
+from rodjax.dynamics.stepping import no_info, prepare, step
+from rodjax.equations.coupled import find_nearby
+from rodjax.equations.generalized_alpha import GeneralizedAlpha
+from rodjax.inputs.schedules import Smooth
+from rodjax.interactions import contact_laws as laws
+from rodjax.interactions.contact import Contact
+from rodjax.interactions.loads import MorisonDrag
+from rodjax.rods.rod import Rod, Section, circular_section, curved_rod, straight_rod
+from rodjax.rods.state import State
+from rodjax.rods.strains import strains
+from rodjax.scenes.placing import placing
+from rodjax.scenes.scene import Scene
 
 UNIT_SECTION = Section(
     stiffness=(1.0, 1.3, 0.8), mass=1.0, rotary_inertia=(2e-3, 2e-3, 4e-3), diameter=0.1, area=8e-3

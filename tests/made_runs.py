@@ -6,14 +6,16 @@ import jax.numpy as jnp
 import numpy as np
 from helpers import UNIT_SECTION
 
-from rodjax import consistency, energy, rod
-from rodjax.ends import Free, Pinned
-from rodjax.loads import Gravity, PointLoad
-from rodjax.run import Run
-from rodjax.scene import Scene
-from rodjax.schedules import Constant
-from rodjax.state import State
-from rodjax.stepping import StepInfo, prepare, step
+from rodjax import energy
+from rodjax.constraints.ends import Free, Pinned
+from rodjax.dynamics import consistency
+from rodjax.dynamics.run import Run
+from rodjax.dynamics.stepping import StepInfo, prepare, step
+from rodjax.inputs.schedules import Constant
+from rodjax.interactions.loads import Gravity, PointLoad
+from rodjax.rods import rod
+from rodjax.rods.state import State
+from rodjax.scenes.scene import Scene
 
 ELEMENTS = 8
 AXIS = jnp.array([0.0, 0.0, 1.0])

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from helpers import UNIT_SECTION, random_arrays, random_configuration, relative_difference
 
-from rodjax.anchored import AnchoredSystem
-from rodjax.balance import Scales, assemble, element_tangent
-from rodjax.coupled import CoupledSystem
-from rodjax.ends import Clamped, Free, Pinned, Slider
-from rodjax.rod import straight_rod
+from rodjax.constraints.ends import Clamped, Free, Pinned, Slider
+from rodjax.equations.anchored import AnchoredSystem
+from rodjax.equations.coupled import CoupledSystem
+from rodjax.rods.balance import Scales, assemble, element_tangent
+from rodjax.rods.rod import straight_rod
 
 ELEMENTS = 10
 ENDS = {

@@ -8,9 +8,10 @@ from helpers import UNIT_SECTION, random_arrays, random_configuration, relative_
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rodjax import balance, rotations
-from rodjax.rod import Section, straight_rod
-from rodjax.strains import curvature, element_quaternions, strains
+from rodjax import rotations
+from rodjax.rods import balance
+from rodjax.rods.rod import Section, straight_rod
+from rodjax.rods.strains import curvature, element_quaternions, strains
 
 ELEMENTS = 5
 COMPLIANT = Section(stiffness=(1.0, 1.3, lambda s: 0.8 + s), mass=1.0, compliance=(0.02, 0.0, 0.01))

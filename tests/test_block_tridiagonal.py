@@ -8,7 +8,7 @@ from helpers import random_arrays, relative_difference
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rodjax.block_tridiagonal import BlockTridiagonal
+from rodjax.numerics.block_tridiagonal import BlockTridiagonal
 
 ROWS, BLOCK = 6, 4
 

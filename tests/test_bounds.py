@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rodjax.bounds import Interval, Positive, Unbounded, unknowns_of
+from rodjax.fitting.bounds import Interval, Positive, Unbounded, unknowns_of
 
 
 def finite(size):

@@ -7,15 +7,15 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 
-from rodjax.ends import Clamped, Free, Slider, Turn
-from rodjax.energy import reactions
-from rodjax.load_path import equilibrium
-from rodjax.loads import PointLoad
-from rodjax.placing import placing
-from rodjax.results import ModelWarning, Result
-from rodjax.rod import Section, straight_rod
-from rodjax.scene import Scene
-from rodjax.schedules import PiecewiseLinear
+from rodjax.constraints.ends import Clamped, Free, Slider, Turn
+from rodjax.equilibria.load_path import equilibrium
+from rodjax.inputs.schedules import PiecewiseLinear
+from rodjax.interactions.loads import PointLoad
+from rodjax.measuring.energy import reactions
+from rodjax.numerics.results import ModelWarning, Result
+from rodjax.rods.rod import Section, straight_rod
+from rodjax.scenes.placing import placing
+from rodjax.scenes.scene import Scene
 
 EULER = np.pi**2 / 4
 ELEMENTS = 20

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 import rodjax as rx
-from rodjax.brief import brief
-from rodjax.results import MESSAGES, SimulationError
-from rodjax.stepping import no_info
+from rodjax.dynamics.stepping import no_info
+from rodjax.inputs.brief import brief
+from rodjax.numerics.results import MESSAGES, SimulationError
 
 SECTION = rx.Section(
     stiffness=(2.0, 3.0, 1.5), mass=0.25, rotary_inertia=(1e-3, 1e-3, 2e-3), diameter=0.02

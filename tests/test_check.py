@@ -10,26 +10,27 @@ import pytest
 from helpers import UNIT_SECTION, hairpin
 from test_contact_potential import meeting
 
-from rodjax import contact_laws, energy
-from rodjax.adaptive import adaptive_rollout
-from rodjax.coarseness import largest_turns, warn_if_hopeless
-from rodjax.consistency import start
-from rodjax.contact import Contact
-from rodjax.corners import corners_inside, warn_of_corners
-from rodjax.ends import Clamped, Free, Slider, Turn
-from rodjax.fixed_rollout import rollout
-from rodjax.linear_stability import stability
-from rodjax.load_path import equilibrium
-from rodjax.loads import Gravity, LinearDrag, PointLoad
-from rodjax.numerical_damping import amplification, estimate
-from rodjax.placing import placing
-from rodjax.results import ModelWarning, Result, as_code
-from rodjax.rod import curved_rod, straight_rod
-from rodjax.run import Run
-from rodjax.run_check import Finding, Findings, _contact, _moved, _result, _stable, check
-from rodjax.scene import Scene
-from rodjax.schedules import Constant, PiecewiseLinear, Smooth
-from rodjax.stepping import no_info
+from rodjax import energy
+from rodjax.constraints.ends import Clamped, Free, Slider, Turn
+from rodjax.dynamics.adaptive import adaptive_rollout
+from rodjax.dynamics.coarseness import largest_turns, warn_if_hopeless
+from rodjax.dynamics.consistency import start
+from rodjax.dynamics.fixed_rollout import rollout
+from rodjax.dynamics.run import Run
+from rodjax.dynamics.stepping import no_info
+from rodjax.equilibria.linear_stability import stability
+from rodjax.equilibria.load_path import equilibrium
+from rodjax.inputs.schedules import Constant, PiecewiseLinear, Smooth
+from rodjax.interactions import contact_laws
+from rodjax.interactions.contact import Contact
+from rodjax.interactions.loads import Gravity, LinearDrag, PointLoad
+from rodjax.measuring.numerical_damping import amplification, estimate
+from rodjax.measuring.run_check import Finding, Findings, _contact, _moved, _result, _stable, check
+from rodjax.numerics.results import ModelWarning, Result, as_code
+from rodjax.rods.rod import curved_rod, straight_rod
+from rodjax.scenes.corners import corners_inside, warn_of_corners
+from rodjax.scenes.placing import placing
+from rodjax.scenes.scene import Scene
 
 UP = (0.0, 0.0, 1.0)
 

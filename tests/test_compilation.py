@@ -7,7 +7,7 @@ import pytest
 from helpers import UNIT_SECTION, relative_difference
 
 import rodjax as rx
-from rodjax import compilation
+from rodjax.numerics import compilation
 
 
 @pytest.fixture(autouse=True)

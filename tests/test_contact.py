@@ -9,18 +9,18 @@ import numpy as np
 import pytest
 from helpers import DIAMETER, LAWS, PAIR, hairpin, order_of
 
-from rodjax import contact as contact_of
-from rodjax import contact_forces as forces_of
-from rodjax import contact_laws as laws
 from rodjax import measures
-from rodjax.consistency import start
-from rodjax.contact import Contact
-from rodjax.ends import Clamped
-from rodjax.loads import MorisonDrag
-from rodjax.rod import circular_section, straight_rod
-from rodjax.run import Run
-from rodjax.scene import Scene
-from rodjax.stepping import no_info, step
+from rodjax.constraints.ends import Clamped
+from rodjax.dynamics.consistency import start
+from rodjax.dynamics.run import Run
+from rodjax.dynamics.stepping import no_info, step
+from rodjax.interactions import contact as contact_of
+from rodjax.interactions import contact_forces as forces_of
+from rodjax.interactions import contact_laws as laws
+from rodjax.interactions.contact import Contact
+from rodjax.interactions.loads import MorisonDrag
+from rodjax.rods.rod import circular_section, straight_rod
+from rodjax.scenes.scene import Scene
 
 # Forces
 

@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 from helpers import hairpin
 
-from rodjax.consistency import start
-from rodjax.contact import Contact
-from rodjax.contact_laws import DampedInversePower
-from rodjax.ends import Clamped
-from rodjax.fixed_rollout import rollout
-from rodjax.scene import Scene
+from rodjax.constraints.ends import Clamped
+from rodjax.dynamics.consistency import start
+from rodjax.dynamics.fixed_rollout import rollout
+from rodjax.interactions.contact import Contact
+from rodjax.interactions.contact_laws import DampedInversePower
+from rodjax.scenes.scene import Scene
 
 pytestmark = pytest.mark.slow
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from helpers import DIAMETER, LAWS, PAIR
 
-from rodjax import contact_laws as laws
+from rodjax.interactions import contact_laws as laws
 
 
 @pytest.mark.parametrize("name", LAWS)

@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 from helpers import LAWS, slow
 
-from rodjax import newton
-from rodjax.contact import Contact
-from rodjax.coupled import find_nearby
-from rodjax.results import Result
-from rodjax.step_equations import StepEquations
-from rodjax.stepping import step
+from rodjax.dynamics.stepping import step
+from rodjax.equations.coupled import find_nearby
+from rodjax.equations.step_equations import StepEquations
+from rodjax.interactions.contact import Contact
+from rodjax.numerics import newton
+from rodjax.numerics.results import Result
 
 # grids finer and coarser than the contact's 20 segments
 finer_and_coarser = pytest.mark.parametrize("bent", [slow(24), 14], indirect=True)

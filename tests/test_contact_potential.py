@@ -12,13 +12,14 @@ from scipy.integrate import quad
 from scipy.special import k1
 
 import rodjax as rx
-from rodjax import contact_laws, energy
-from rodjax.contact import sites
-from rodjax.contact_energy import contact_energy, has_potential, pair_energy
-from rodjax.contact_forces import report, window
-from rodjax.overlap import least_held
-from rodjax.screening import search
-from rodjax.stepping import no_info
+from rodjax import energy
+from rodjax.dynamics.stepping import no_info
+from rodjax.equations.overlap import least_held
+from rodjax.interactions import contact_laws
+from rodjax.interactions.contact import sites
+from rodjax.interactions.contact_energy import contact_energy, has_potential, pair_energy
+from rodjax.interactions.contact_forces import report, window
+from rodjax.interactions.screening import search
 
 report = eqx.filter_jit(report)
 contact_energy = eqx.filter_jit(contact_energy)

@@ -7,19 +7,13 @@ import pytest
 from helpers import UNIT_SECTION
 from made_runs import reactions, run_of, run_over, start, state_of
 
-from rodjax import (
-    contact,
-    contact_energy,
-    contact_forces,
-    contact_laws,
-    coupled,
-    energy,
-    rod,
-    screening,
-)
-from rodjax.ends import Clamped
-from rodjax.loads import LinearDrag
-from rodjax.scene import Scene
+from rodjax import energy
+from rodjax.constraints.ends import Clamped
+from rodjax.equations import coupled
+from rodjax.interactions import contact, contact_energy, contact_forces, contact_laws, screening
+from rodjax.interactions.loads import LinearDrag
+from rodjax.rods import rod
+from rodjax.scenes.scene import Scene
 
 
 @pytest.fixture(scope="module")

@@ -11,14 +11,14 @@ import numpy as np
 import pytest
 from helpers import driven_scene, final_state, order_of, slow
 
-from rodjax.consistency import start
-from rodjax.ends import Clamped, Free, Slider, Turn
-from rodjax.generalized_alpha import GeneralizedAlpha
-from rodjax.loads import Gravity, LinearDrag, MorisonDrag
-from rodjax.rod import Section, straight_rod
-from rodjax.scene import Scene
-from rodjax.schedules import Function
-from rodjax.stepping import step
+from rodjax.constraints.ends import Clamped, Free, Slider, Turn
+from rodjax.dynamics.consistency import start
+from rodjax.dynamics.stepping import step
+from rodjax.equations.generalized_alpha import GeneralizedAlpha
+from rodjax.inputs.schedules import Function
+from rodjax.interactions.loads import Gravity, LinearDrag, MorisonDrag
+from rodjax.rods.rod import Section, straight_rod
+from rodjax.scenes.scene import Scene
 
 FIELDS = ("position", "quaternion", "rate", "force")
 DRAG = (MorisonDrag(1.0, 2.0, 0.5),)

@@ -13,15 +13,16 @@ import pytest
 from helpers import standing_run
 from test_storage import assert_identical
 
-from rodjax import ends, storage
-from rodjax.contact import Contact
-from rodjax.contact_laws import Barrier
-from rodjax.loads import Gravity, LinearDrag
-from rodjax.plain_trees import read_images
-from rodjax.results import ModelWarning
-from rodjax.rod import Section, straight_rod
-from rodjax.scene import Scene
-from rodjax.sealed_files import HEADER_SIZE, StorageError, replacing, seal
+from rodjax import storage
+from rodjax.constraints import ends
+from rodjax.files.plain_trees import read_images
+from rodjax.files.sealed_files import HEADER_SIZE, StorageError, replacing, seal
+from rodjax.interactions.contact import Contact
+from rodjax.interactions.contact_laws import Barrier
+from rodjax.interactions.loads import Gravity, LinearDrag
+from rodjax.numerics.results import ModelWarning
+from rodjax.rods.rod import Section, straight_rod
+from rodjax.scenes.scene import Scene
 
 SECTION = Section((1.0, 1.0, 0.8), mass=1.0, rotary_inertia=(1e-3, 1e-3, 2e-3), diameter=0.02)
 

@@ -8,9 +8,9 @@ import pytest
 from linear_fits import bare
 from toy_fits import interrupting, numbers, valley
 
-from rodjax.bounds import Interval, Positive, Unbounded
-from rodjax.descent import minimize
-from rodjax.fit_results import FitError, FitResult
+from rodjax.fitting.bounds import Interval, Positive, Unbounded
+from rodjax.fitting.descent import minimize
+from rodjax.fitting.fit_results import FitError, FitResult
 
 
 def test_minimize_a_curved_valley():

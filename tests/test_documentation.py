@@ -8,7 +8,7 @@ import re
 import pytest
 
 import rodjax as rx
-from rodjax.results import MESSAGES
+from rodjax.numerics.results import MESSAGES
 
 MODULES = [name for name in rx.__all__ if inspect.ismodule(getattr(rx, name))]
 

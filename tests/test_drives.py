@@ -9,19 +9,19 @@ import pytest
 from helpers import UNIT_SECTION, slow
 
 from rodjax import energy, measures
-from rodjax.adaptive import adaptive_rollout
-from rodjax.consistency import start
-from rodjax.contact import Contact
-from rodjax.contact_laws import Barrier
-from rodjax.ends import Clamped, Free, Slider, Switched, Turn
-from rodjax.fixed_rollout import rollout
-from rodjax.generalized_alpha import GeneralizedAlpha
-from rodjax.loads import LinearDrag
-from rodjax.results import Result, SimulationError
-from rodjax.rod import straight_rod
-from rodjax.scene import Scene
-from rodjax.schedules import Function, PiecewiseLinear
-from rodjax.step_control import StepControl
+from rodjax.constraints.ends import Clamped, Free, Slider, Switched, Turn
+from rodjax.dynamics.adaptive import adaptive_rollout
+from rodjax.dynamics.consistency import start
+from rodjax.dynamics.fixed_rollout import rollout
+from rodjax.dynamics.step_control import StepControl
+from rodjax.equations.generalized_alpha import GeneralizedAlpha
+from rodjax.inputs.schedules import Function, PiecewiseLinear
+from rodjax.interactions.contact import Contact
+from rodjax.interactions.contact_laws import Barrier
+from rodjax.interactions.loads import LinearDrag
+from rodjax.numerics.results import Result, SimulationError
+from rodjax.rods.rod import straight_rod
+from rodjax.scenes.scene import Scene
 
 # many turns in a straight rod are what these tests are about
 pytestmark = pytest.mark.filterwarnings("ignore:the rod ends straight")

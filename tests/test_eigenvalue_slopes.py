@@ -6,17 +6,17 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from rodjax.compilation import jit
-from rodjax.eigenvalues import lowest
-from rodjax.ends import Clamped, Slider
-from rodjax.linear_stability import stability
-from rodjax.load_path import equilibrium
-from rodjax.loads import PointLoad
-from rodjax.placing import placing
-from rodjax.rod import Section, curved_rod, straight_rod
-from rodjax.scene import Scene
-from rodjax.schedules import Constant
-from rodjax.small_vibration import vibration
+from rodjax.constraints.ends import Clamped, Slider
+from rodjax.equilibria.linear_stability import stability
+from rodjax.equilibria.load_path import equilibrium
+from rodjax.equilibria.small_vibration import vibration
+from rodjax.inputs.schedules import Constant
+from rodjax.interactions.loads import PointLoad
+from rodjax.numerics.compilation import jit
+from rodjax.numerics.eigenvalues import lowest
+from rodjax.rods.rod import Section, curved_rod, straight_rod
+from rodjax.scenes.placing import placing
+from rodjax.scenes.scene import Scene
 
 STEP = 1e-4
 

@@ -8,10 +8,11 @@ import pytest
 from helpers import UNIT_SECTION, random_configuration
 from made_runs import AXIS, ELEMENTS, hanging, reactions, start, state_of
 
-from rodjax import energy, rod, rotations
-from rodjax.ends import Clamped, Free, Pinned, Slider
-from rodjax.loads import Gravity, LinearDrag, MorisonDrag
-from rodjax.scene import Scene
+from rodjax import energy, rotations
+from rodjax.constraints.ends import Clamped, Free, Pinned, Slider
+from rodjax.interactions.loads import Gravity, LinearDrag, MorisonDrag
+from rodjax.rods import rod
+from rodjax.scenes.scene import Scene
 
 
 def twisted(a_rod, turns):

@@ -11,15 +11,15 @@ from scipy.optimize import root
 from scipy.spatial.transform import Rotation
 
 from rodjax import rotations
-from rodjax.ends import Clamped, Free, Pinned, Slider, Switched, Turn
-from rodjax.load_path import equilibrium
-from rodjax.loads import Gravity, PointLoad
-from rodjax.placing import placing
-from rodjax.results import Result, SimulationError
-from rodjax.rod import Section, curved_rod, straight_rod
-from rodjax.scene import Scene
-from rodjax.schedules import Constant, PiecewiseLinear
-from rodjax.strains import curvature, strains
+from rodjax.constraints.ends import Clamped, Free, Pinned, Slider, Switched, Turn
+from rodjax.equilibria.load_path import equilibrium
+from rodjax.inputs.schedules import Constant, PiecewiseLinear
+from rodjax.interactions.loads import Gravity, PointLoad
+from rodjax.numerics.results import Result, SimulationError
+from rodjax.rods.rod import Section, curved_rod, straight_rod
+from rodjax.rods.strains import curvature, strains
+from rodjax.scenes.placing import placing
+from rodjax.scenes.scene import Scene
 
 GRIDS = (36, 100)
 RADIUS = 100.0

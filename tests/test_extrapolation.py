@@ -5,16 +5,16 @@ import numpy as np
 import pytest
 from helpers import driven_scene, final_state, order_of
 
-from rodjax.consistency import start
-from rodjax.ends import Clamped, Turn
-from rodjax.extrapolation import extrapolate
-from rodjax.generalized_alpha import GeneralizedAlpha
-from rodjax.load_path import equilibrium
-from rodjax.loads import PointLoad
-from rodjax.placing import placing
-from rodjax.rod import Section, straight_rod
-from rodjax.scene import Scene
-from rodjax.schedules import Constant, Function
+from rodjax.constraints.ends import Clamped, Turn
+from rodjax.dynamics.consistency import start
+from rodjax.equations.generalized_alpha import GeneralizedAlpha
+from rodjax.equilibria.load_path import equilibrium
+from rodjax.inputs.schedules import Constant, Function
+from rodjax.interactions.loads import PointLoad
+from rodjax.measuring.extrapolation import extrapolate
+from rodjax.rods.rod import Section, straight_rod
+from rodjax.scenes.placing import placing
+from rodjax.scenes.scene import Scene
 
 
 def gaps(values):

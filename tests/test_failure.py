@@ -7,20 +7,20 @@ import pytest
 from helpers import UNIT_SECTION, hairpin
 
 from rodjax import energy, measures, topology
-from rodjax.consistency import start
-from rodjax.contact import Contact
-from rodjax.contact_laws import Barrier
-from rodjax.ends import Clamped
-from rodjax.failure import not_a_number
-from rodjax.fixed_rollout import rollout
-from rodjax.loads import AbstractLoad, LinearDrag
-from rodjax.observations import positions_at
-from rodjax.results import Result, SimulationError
-from rodjax.rod import straight_rod
-from rodjax.run import Run
-from rodjax.scene import Scene
-from rodjax.stepping import no_info
-from rodjax.windows import Windows, defects, roll
+from rodjax.constraints.ends import Clamped
+from rodjax.dynamics.consistency import start
+from rodjax.dynamics.fixed_rollout import rollout
+from rodjax.dynamics.run import Run
+from rodjax.dynamics.stepping import no_info
+from rodjax.dynamics.windows import Windows, defects, roll
+from rodjax.fitting.observations import positions_at
+from rodjax.interactions.contact import Contact
+from rodjax.interactions.contact_laws import Barrier
+from rodjax.interactions.loads import AbstractLoad, LinearDrag
+from rodjax.numerics.failure import not_a_number
+from rodjax.numerics.results import Result, SimulationError
+from rodjax.rods.rod import straight_rod
+from rodjax.scenes.scene import Scene
 
 TIMES = jnp.linspace(0.0, 0.1, 11)[1:]
 

@@ -7,19 +7,19 @@ import pytest
 from helpers import slow
 from toy_fits import BOUNDS, EXACT, GUESS, TIMES, TRUTH, decay, noisy, numbers, relative
 
-from rodjax.bounds import Interval, Positive, Unbounded
-from rodjax.consistency import start
-from rodjax.descent import minimize
-from rodjax.ends import Clamped
-from rodjax.fit import least_squares, several_starts
-from rodjax.fit_results import MESSAGES, FitResult
-from rodjax.fixed_rollout import rollout
-from rodjax.loads import LinearDrag
-from rodjax.observations import Observations, positions_at
-from rodjax.priors import LogNormalPrior, NormalPrior
-from rodjax.robust import Huber
-from rodjax.rod import Section, straight_rod
-from rodjax.scene import Scene
+from rodjax.constraints.ends import Clamped
+from rodjax.dynamics.consistency import start
+from rodjax.dynamics.fixed_rollout import rollout
+from rodjax.fitting.bounds import Interval, Positive, Unbounded
+from rodjax.fitting.descent import minimize
+from rodjax.fitting.fit import least_squares, several_starts
+from rodjax.fitting.fit_results import MESSAGES, FitResult
+from rodjax.fitting.observations import Observations, positions_at
+from rodjax.fitting.priors import LogNormalPrior, NormalPrior
+from rodjax.fitting.robust import Huber
+from rodjax.interactions.loads import LinearDrag
+from rodjax.rods.rod import Section, straight_rod
+from rodjax.scenes.scene import Scene
 
 
 def scaled_decay(p):

@@ -8,17 +8,17 @@ from helpers import UNIT_SECTION
 from linear_fits import COUNT, DESIGN, GUESS, TIMES, bare, line, measured, normal_equations
 from toy_fits import relative
 
-from rodjax.bounds import Fixed
-from rodjax.descent import minimize
-from rodjax.fit import least_squares, several_starts
-from rodjax.fit_results import FitError, FitResult
-from rodjax.observations import Observations, positions_at
-from rodjax.priors import NormalPrior
-from rodjax.results import ModelWarning
-from rodjax.rod import straight_rod
-from rodjax.run import Run
-from rodjax.state import State
-from rodjax.stepping import no_info
+from rodjax.dynamics.run import Run
+from rodjax.dynamics.stepping import no_info
+from rodjax.fitting.bounds import Fixed
+from rodjax.fitting.descent import minimize
+from rodjax.fitting.fit import least_squares, several_starts
+from rodjax.fitting.fit_results import FitError, FitResult
+from rodjax.fitting.observations import Observations, positions_at
+from rodjax.fitting.priors import NormalPrior
+from rodjax.numerics.results import ModelWarning
+from rodjax.rods.rod import straight_rod
+from rodjax.rods.state import State
 
 # Missing samples
 

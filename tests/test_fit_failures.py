@@ -23,12 +23,12 @@ from toy_fits import (
     wave,
 )
 
-from rodjax import descent, fit
-from rodjax.bounds import Positive
-from rodjax.descent import minimize
-from rodjax.fit import least_squares, several_starts
-from rodjax.fit_results import FitError, FitResult
-from rodjax.observations import Observations
+from rodjax.fitting import descent, fit
+from rodjax.fitting.bounds import Positive
+from rodjax.fitting.descent import minimize
+from rodjax.fitting.fit import least_squares, several_starts
+from rodjax.fitting.fit_results import FitError, FitResult
+from rodjax.fitting.observations import Observations
 
 # Failing predictions
 

@@ -7,12 +7,12 @@ import pytest
 from linear_fits import DESIGN, GUESS, TIMES, TRUTH, line, measured, normal_equations
 from toy_fits import relative
 
-from rodjax.bounds import Positive
-from rodjax.fit import least_squares
-from rodjax.fit_results import FitResult
-from rodjax.observations import Observations
-from rodjax.priors import LogNormalPrior, NormalPrior
-from rodjax.robust import Huber, SoftL1
+from rodjax.fitting.bounds import Positive
+from rodjax.fitting.fit import least_squares
+from rodjax.fitting.fit_results import FitResult
+from rodjax.fitting.observations import Observations
+from rodjax.fitting.priors import LogNormalPrior, NormalPrior
+from rodjax.fitting.robust import Huber, SoftL1
 
 # Priors
 

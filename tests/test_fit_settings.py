@@ -6,11 +6,11 @@ import pytest
 from linear_fits import GUESS, TIMES, bare, line, measured
 from toy_fits import valley
 
-from rodjax.bounds import Interval, Positive
-from rodjax.descent import minimize
-from rodjax.fit import least_squares, several_starts
-from rodjax.observations import Observations
-from rodjax.robust import Huber
+from rodjax.fitting.bounds import Interval, Positive
+from rodjax.fitting.descent import minimize
+from rodjax.fitting.fit import least_squares, several_starts
+from rodjax.fitting.observations import Observations
+from rodjax.fitting.robust import Huber
 
 
 @pytest.mark.parametrize(

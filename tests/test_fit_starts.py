@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from toy_fits import RATES, WAVE, interrupting, numbers, relative, wave
 
-from rodjax.bounds import Positive
-from rodjax.fit import least_squares, several_starts
-from rodjax.fit_results import FitError, FitResult
+from rodjax.fitting.bounds import Positive
+from rodjax.fitting.fit import least_squares, several_starts
+from rodjax.fitting.fit_results import FitError, FitResult
 
 
 def test_several_starts_find_the_best_of_local_minima():

@@ -14,14 +14,14 @@ from numpy.polynomial import chebyshev
 from scipy.optimize import brentq
 
 from rodjax import rotations
-from rodjax.ends import Clamped, Slider
-from rodjax.linear_stability import stability
-from rodjax.loads import DistributedLoad, LinearDrag, MorisonDrag, PointLoad
-from rodjax.placing import placing
-from rodjax.rod import Section, straight_rod
-from rodjax.scene import Scene
-from rodjax.schedules import Constant
-from rodjax.small_vibration import vibration
+from rodjax.constraints.ends import Clamped, Slider
+from rodjax.equilibria.linear_stability import stability
+from rodjax.equilibria.small_vibration import vibration
+from rodjax.inputs.schedules import Constant
+from rodjax.interactions.loads import DistributedLoad, LinearDrag, MorisonDrag, PointLoad
+from rodjax.rods.rod import Section, straight_rod
+from rodjax.scenes.placing import placing
+from rodjax.scenes.scene import Scene
 
 N = 24
 BECK = 20.0509  # A/L^2 (Beck 1952)

@@ -7,12 +7,12 @@ import pytest
 from helpers import ARC, PRECISE, UNIT_SECTION, advance_to, final_state, stretch_error, time
 
 from rodjax import rotations
-from rodjax.consistency import start
-from rodjax.ends import Clamped, Free
-from rodjax.generalized_alpha import GeneralizedAlpha
-from rodjax.inertia import node_inertia
-from rodjax.rod import circular_section, curved_rod, straight_rod
-from rodjax.scene import Scene
+from rodjax.constraints.ends import Clamped, Free
+from rodjax.dynamics.consistency import start
+from rodjax.equations.generalized_alpha import GeneralizedAlpha
+from rodjax.rods.inertia import node_inertia
+from rodjax.rods.rod import circular_section, curved_rod, straight_rod
+from rodjax.scenes.scene import Scene
 
 # Free flight
 

@@ -5,14 +5,14 @@ import numpy as np
 import pytest
 from helpers import PRECISE, UP, relative_difference, slow
 
-from rodjax.adaptive import adaptive_rollout
-from rodjax.consistency import start
-from rodjax.ends import Clamped, Slider, Switched, Turn
-from rodjax.fixed_rollout import rollout
-from rodjax.loads import DistributedLoad, Gravity, LinearDrag, MorisonDrag, PointLoad
-from rodjax.rod import circular_section, straight_rod
-from rodjax.scene import Scene
-from rodjax.schedules import Constant, Smooth
+from rodjax.constraints.ends import Clamped, Slider, Switched, Turn
+from rodjax.dynamics.adaptive import adaptive_rollout
+from rodjax.dynamics.consistency import start
+from rodjax.dynamics.fixed_rollout import rollout
+from rodjax.inputs.schedules import Constant, Smooth
+from rodjax.interactions.loads import DistributedLoad, Gravity, LinearDrag, MorisonDrag, PointLoad
+from rodjax.rods.rod import circular_section, straight_rod
+from rodjax.scenes.scene import Scene
 
 
 def growing(parameters, s, motion):

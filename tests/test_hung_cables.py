@@ -7,15 +7,15 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq
 
-from rodjax.ends import Free, Pinned
-from rodjax.energy import reactions
-from rodjax.load_path import equilibrium
-from rodjax.loads import Gravity, MorisonDrag, PointLoad
-from rodjax.placing import placing
-from rodjax.results import ModelWarning, Result
-from rodjax.rod import Section, circular_section, curved_rod, straight_rod
-from rodjax.scene import Scene
-from rodjax.schedules import Constant
+from rodjax.constraints.ends import Free, Pinned
+from rodjax.equilibria.load_path import equilibrium
+from rodjax.inputs.schedules import Constant
+from rodjax.interactions.loads import Gravity, MorisonDrag, PointLoad
+from rodjax.measuring.energy import reactions
+from rodjax.numerics.results import ModelWarning, Result
+from rodjax.rods.rod import Section, circular_section, curved_rod, straight_rod
+from rodjax.scenes.placing import placing
+from rodjax.scenes.scene import Scene
 
 WEIGHT = 9.81
 ELEMENTS = 20

@@ -8,15 +8,15 @@ from scipy.optimize import brentq
 from scipy.special import ellipe, ellipk
 
 from rodjax import energy
-from rodjax.ends import AbstractEnd, Turn
-from rodjax.imperfection import imperfect
-from rodjax.load_path import equilibrium
-from rodjax.loads import PointLoad
-from rodjax.placing import placing
-from rodjax.results import ModelWarning
-from rodjax.rod import Section, straight_rod
-from rodjax.scene import Scene
-from rodjax.schedules import PiecewiseLinear
+from rodjax.constraints.ends import AbstractEnd, Turn
+from rodjax.equilibria.load_path import equilibrium
+from rodjax.inputs.schedules import PiecewiseLinear
+from rodjax.interactions.loads import PointLoad
+from rodjax.numerics.results import ModelWarning
+from rodjax.rods.imperfection import imperfect
+from rodjax.rods.rod import Section, straight_rod
+from rodjax.scenes.placing import placing
+from rodjax.scenes.scene import Scene
 
 N = 20
 STEPS = 100  # fine enough to follow the bent branch past the critical load

@@ -10,17 +10,17 @@ import numpy as np
 import pytest
 from helpers import UNIT_SECTION
 
-from rodjax import pace
-from rodjax.adaptive import adaptive_rollout
-from rodjax.consistency import start
-from rodjax.ends import Clamped
-from rodjax.fixed_rollout import rollout
-from rodjax.loads import LinearDrag, PointLoad
-from rodjax.pace import Pace
-from rodjax.results import Interrupted, Result
-from rodjax.rod import straight_rod
-from rodjax.scene import Scene
-from rodjax.schedules import Function
+from rodjax.constraints.ends import Clamped
+from rodjax.dynamics.adaptive import adaptive_rollout
+from rodjax.dynamics.consistency import start
+from rodjax.dynamics.fixed_rollout import rollout
+from rodjax.inputs.schedules import Function
+from rodjax.interactions.loads import LinearDrag, PointLoad
+from rodjax.numerics import pace
+from rodjax.numerics.pace import Pace
+from rodjax.numerics.results import Interrupted, Result
+from rodjax.rods.rod import straight_rod
+from rodjax.scenes.scene import Scene
 
 TRACED = []
 """One entry for every time that a program is traced."""

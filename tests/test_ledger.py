@@ -8,11 +8,12 @@ import pytest
 from helpers import UNIT_SECTION, order_of
 from made_runs import AXIS, ELEMENTS, hanging, run_over, start, state_of
 
-from rodjax import energy, rod
-from rodjax.ends import Clamped, Free, Slider, Switched, Turn
-from rodjax.loads import DistributedLoad, Gravity, LinearDrag, MorisonDrag, PointLoad
-from rodjax.scene import Scene
-from rodjax.schedules import Function, Smooth
+from rodjax import energy
+from rodjax.constraints.ends import Clamped, Free, Slider, Switched, Turn
+from rodjax.inputs.schedules import Function, Smooth
+from rodjax.interactions.loads import DistributedLoad, Gravity, LinearDrag, MorisonDrag, PointLoad
+from rodjax.rods import rod
+from rodjax.scenes.scene import Scene
 
 
 def smooth_twist(turns, until=1.0):

@@ -10,9 +10,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from rodjax import rotations
-from rodjax.ends import Clamped
-from rodjax.inertia import inertial_wrench, kinetic_energy, node_inertia, node_jacobian
-from rodjax.loads import (
+from rodjax.constraints.ends import Clamped
+from rodjax.inputs.schedules import Constant, Smooth
+from rodjax.interactions.loads import (
     DistributedLoad,
     Gravity,
     LinearDrag,
@@ -21,9 +21,9 @@ from rodjax.loads import (
     PointLoad,
     total_wrench,
 )
-from rodjax.rod import Section, straight_rod
-from rodjax.scene import Scene
-from rodjax.schedules import Constant, Smooth
+from rodjax.rods.inertia import inertial_wrench, kinetic_energy, node_inertia, node_jacobian
+from rodjax.rods.rod import Section, straight_rod
+from rodjax.scenes.scene import Scene
 
 ELEMENTS = 4
 UP = (0.0, 0.0, 1.0)

@@ -7,14 +7,15 @@ import numpy as np
 import pytest
 from helpers import UNIT_SECTION, order_of
 
-from rodjax import measures, rod, rotations
-from rodjax.ends import Clamped, Slider, Turn
-from rodjax.loads import LinearDrag
-from rodjax.run import Run
-from rodjax.scene import Scene
-from rodjax.schedules import PiecewiseLinear
-from rodjax.state import State
-from rodjax.stepping import StepInfo
+from rodjax import measures, rotations
+from rodjax.constraints.ends import Clamped, Slider, Turn
+from rodjax.dynamics.run import Run
+from rodjax.dynamics.stepping import StepInfo
+from rodjax.inputs.schedules import PiecewiseLinear
+from rodjax.interactions.loads import LinearDrag
+from rodjax.rods import rod
+from rodjax.rods.state import State
+from rodjax.scenes.scene import Scene
 
 AXIS = jnp.array([0.0, 0.0, 1.0])
 LENGTH = 2.0

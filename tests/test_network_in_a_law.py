@@ -5,8 +5,8 @@ import jax
 import jax.numpy as jnp
 
 import rodjax as rx
-from rodjax.placing import placing
-from rodjax.stepping import step
+from rodjax.dynamics.stepping import step
+from rodjax.scenes.placing import placing
 
 
 class Network(rx.AbstractLaw):

@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 from helpers import UNIT_SECTION, order_of, random_arrays
 
-from rodjax.observations import Observations, positions_at
-from rodjax.rod import straight_rod
-from rodjax.run import Run
-from rodjax.state import State
-from rodjax.stepping import StepInfo
+from rodjax.dynamics.run import Run
+from rodjax.dynamics.stepping import StepInfo
+from rodjax.fitting.observations import Observations, positions_at
+from rodjax.rods.rod import straight_rod
+from rodjax.rods.state import State
 
 ROD = straight_rod(1.0, 4, UNIT_SECTION)
 TIMES = jnp.array([0.0, 0.7, 1.0, 2.5])

@@ -12,18 +12,18 @@ import pytest
 from helpers import final_state, order_of, relative_difference
 from jax import lax
 
-from rodjax.consistency import start
-from rodjax.ends import Clamped, Free, Slider, Turn
-from rodjax.fixed_rollout import rollout
-from rodjax.generalized_alpha import GeneralizedAlpha
-from rodjax.loads import Gravity, MorisonDrag, PointLoad
-from rodjax.measures import linking, stretch_error
-from rodjax.paper_scheme import PaperScheme, fields_of, paper_rollout, paper_step
-from rodjax.paper_solvers import BlockSolve, Shooting
-from rodjax.results import Result, SimulationError
-from rodjax.rod import Section, circular_section, straight_rod
-from rodjax.scene import Scene
-from rodjax.schedules import Function
+from rodjax.constraints.ends import Clamped, Free, Slider, Turn
+from rodjax.dynamics.consistency import start
+from rodjax.dynamics.fixed_rollout import rollout
+from rodjax.equations.generalized_alpha import GeneralizedAlpha
+from rodjax.inputs.schedules import Function
+from rodjax.interactions.loads import Gravity, MorisonDrag, PointLoad
+from rodjax.measuring.measures import linking, stretch_error
+from rodjax.numerics.results import Result, SimulationError
+from rodjax.reference.paper_scheme import PaperScheme, fields_of, paper_rollout, paper_step
+from rodjax.reference.paper_solvers import BlockSolve, Shooting
+from rodjax.rods.rod import Section, circular_section, straight_rod
+from rodjax.scenes.scene import Scene
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "experiments"))
 

@@ -7,18 +7,19 @@ import numpy as np
 import pytest
 from helpers import UNIT_SECTION
 
-from rodjax import measures, passages
-from rodjax.adaptive import adaptive_rollout
-from rodjax.consistency import start
-from rodjax.contact import Contact
-from rodjax.contact_laws import DampedInversePower
-from rodjax.ends import Clamped, Pinned, Slider, Turn
-from rodjax.fixed_rollout import rollout
-from rodjax.placing import placing
-from rodjax.results import ModelWarning, Result, SimulationError
-from rodjax.rod import circular_section, curved_rod, straight_rod
-from rodjax.scene import Scene
-from rodjax.schedules import PiecewiseLinear
+from rodjax import measures
+from rodjax.constraints.ends import Clamped, Pinned, Slider, Turn
+from rodjax.dynamics import passages
+from rodjax.dynamics.adaptive import adaptive_rollout
+from rodjax.dynamics.consistency import start
+from rodjax.dynamics.fixed_rollout import rollout
+from rodjax.inputs.schedules import PiecewiseLinear
+from rodjax.interactions.contact import Contact
+from rodjax.interactions.contact_laws import DampedInversePower
+from rodjax.numerics.results import ModelWarning, Result, SimulationError
+from rodjax.rods.rod import circular_section, curved_rod, straight_rod
+from rodjax.scenes.placing import placing
+from rodjax.scenes.scene import Scene
 
 LAW = DampedInversePower(k1=1e-7, k3=1e-6, reference_spacing=1e-3)
 

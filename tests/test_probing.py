@@ -11,11 +11,12 @@ import numpy as np
 import pytest
 from helpers import UNIT_SECTION
 
-from rodjax import probing, rotations
-from rodjax.ends import AbstractEnd, Clamped
-from rodjax.loads import AbstractLoad, DistributedLoad, Gravity
-from rodjax.rod import straight_rod
-from rodjax.scene import Scene
+from rodjax import rotations
+from rodjax.constraints.ends import AbstractEnd, Clamped
+from rodjax.interactions.loads import AbstractLoad, DistributedLoad, Gravity
+from rodjax.rods.rod import straight_rod
+from rodjax.scenes import probing
+from rodjax.scenes.scene import Scene
 
 ROD = straight_rod(1.0, 6, UNIT_SECTION)
 Z = jnp.asarray([0.0, 0.0, 1.0])
@@ -117,7 +118,7 @@ def test_in_traced_code_too():
 
 
 def motion_of(rod):
-    from rodjax.state import NodeMotion
+    from rodjax.rods.state import NodeMotion
 
     still = jnp.zeros_like(rod.position)
     return NodeMotion(jnp.asarray(0.0), rod.position, rod.quaternion, still, still)

@@ -19,11 +19,11 @@ from test_storage import CHUNK, CONTROL, METHOD, assert_identical
 
 import rodjax
 from rodjax import storage
-from rodjax.adaptive import adaptive_rollout
-from rodjax.consistency import start
-from rodjax.results import ModelWarning, Result, SimulationError
-from rodjax.run import continued, join_runs
-from rodjax.sealed_files import HEADER_SIZE, StorageError
+from rodjax.dynamics.adaptive import adaptive_rollout
+from rodjax.dynamics.consistency import start
+from rodjax.dynamics.run import continued, join_runs
+from rodjax.files.sealed_files import HEADER_SIZE, StorageError
+from rodjax.numerics.results import ModelWarning, Result, SimulationError
 
 SCENE = driven_scene(elements=4)
 STEPS = 3

@@ -9,14 +9,14 @@ import pytest
 from helpers import order_of
 
 from rodjax import rotations
-from rodjax.consistency import start
-from rodjax.ends import Clamped
-from rodjax.loads import Gravity
-from rodjax.regridding import regrid
-from rodjax.rod import Section, curved_rod, straight_rod
-from rodjax.scene import Scene
-from rodjax.state import State
-from rodjax.strains import curvature, relative_rotation, strains
+from rodjax.constraints.ends import Clamped
+from rodjax.dynamics.consistency import start
+from rodjax.interactions.loads import Gravity
+from rodjax.rods.regridding import regrid
+from rodjax.rods.rod import Section, curved_rod, straight_rod
+from rodjax.rods.state import State
+from rodjax.rods.strains import curvature, relative_rotation, strains
+from rodjax.scenes.scene import Scene
 
 SECTION = Section((1.0, 1.3, 0.8), mass=1.0, rotary_inertia=(2e-3, 2e-3, 4e-3))
 SOFT = dataclasses.replace(SECTION, compliance=(1e-3, 1e-3, 1e-2))

@@ -7,14 +7,14 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from rodjax.consistency import start
-from rodjax.ends import Clamped
-from rodjax.fixed_rollout import rollout
-from rodjax.generalized_alpha import GeneralizedAlpha
-from rodjax.loads import Gravity, LinearDrag
-from rodjax.results import Result, SimulationError
-from rodjax.rod import circular_section, straight_rod
-from rodjax.scene import Scene
+from rodjax.constraints.ends import Clamped
+from rodjax.dynamics.consistency import start
+from rodjax.dynamics.fixed_rollout import rollout
+from rodjax.equations.generalized_alpha import GeneralizedAlpha
+from rodjax.interactions.loads import Gravity, LinearDrag
+from rodjax.numerics.results import Result, SimulationError
+from rodjax.rods.rod import circular_section, straight_rod
+from rodjax.scenes.scene import Scene
 
 
 def cantilever(youngs_modulus=1e9, weight=9.81, elements=10):

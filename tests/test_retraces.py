@@ -8,27 +8,28 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from rodjax import stepping
-from rodjax.consistency import start
-from rodjax.contact import Contact
-from rodjax.contact_laws import Penalty
-from rodjax.ends import Clamped, Pinned, Slider, Switched, Turn
-from rodjax.fit import least_squares
-from rodjax.fixed_rollout import rollout
-from rodjax.generalized_alpha import GeneralizedAlpha
-from rodjax.loads import AbstractLoad, DistributedLoad, Gravity, LinearDrag, MorisonDrag, PointLoad
-from rodjax.observations import Observations
-from rodjax.priors import NormalPrior
-from rodjax.robust import Huber
-from rodjax.rod import circular_section, straight_rod
-from rodjax.scene import Scene
-from rodjax.schedules import (
-    Constant,
-    Function,
-    PiecewiseLinear,
-    PiecewiseLinearRate,
-    Smooth,
+from rodjax.constraints.ends import Clamped, Pinned, Slider, Switched, Turn
+from rodjax.dynamics import stepping
+from rodjax.dynamics.consistency import start
+from rodjax.dynamics.fixed_rollout import rollout
+from rodjax.equations.generalized_alpha import GeneralizedAlpha
+from rodjax.fitting.fit import least_squares
+from rodjax.fitting.observations import Observations
+from rodjax.fitting.priors import NormalPrior
+from rodjax.fitting.robust import Huber
+from rodjax.inputs.schedules import Constant, Function, PiecewiseLinear, PiecewiseLinearRate, Smooth
+from rodjax.interactions.contact import Contact
+from rodjax.interactions.contact_laws import Penalty
+from rodjax.interactions.loads import (
+    AbstractLoad,
+    DistributedLoad,
+    Gravity,
+    LinearDrag,
+    MorisonDrag,
+    PointLoad,
 )
+from rodjax.rods.rod import circular_section, straight_rod
+from rodjax.scenes.scene import Scene
 
 
 def spread(parameters, s, motion):

@@ -5,7 +5,8 @@ import numpy as np
 import pytest
 
 import rodjax as rx
-from rodjax import measures, passages
+from rodjax import measures
+from rodjax.dynamics import passages
 
 RADIUS, TURNS = 0.1, 0.4
 LENGTH = 2 * np.pi * RADIUS

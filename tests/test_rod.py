@@ -12,8 +12,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from rodjax import rotations
-from rodjax.rod import Rod, Section, circular_section, curved_rod, grid, sample, straight_rod
-from rodjax.strains import curvature, strains
+from rodjax.rods.rod import Rod, Section, circular_section, curved_rod, grid, sample, straight_rod
+from rodjax.rods.strains import curvature, strains
 
 few = settings(max_examples=40, deadline=None)
 number = st.floats(-10, 10)

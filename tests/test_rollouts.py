@@ -7,17 +7,17 @@ import numpy as np
 import pytest
 from helpers import ARC, PRECISE, UNIT_SECTION, UP
 
-from rodjax.adaptive import adaptive_rollout
-from rodjax.consistency import restart, start
-from rodjax.ends import Clamped, Free, Slider, Switched, Turn
-from rodjax.fixed_rollout import rollout
-from rodjax.inertia import node_inertia
-from rodjax.loads import LinearDrag, MorisonDrag, PointLoad
-from rodjax.results import Result, SimulationError
-from rodjax.rod import curved_rod, straight_rod
-from rodjax.scene import Scene
-from rodjax.schedules import Function, Smooth
-from rodjax.step_control import StepControl
+from rodjax.constraints.ends import Clamped, Free, Slider, Switched, Turn
+from rodjax.dynamics.adaptive import adaptive_rollout
+from rodjax.dynamics.consistency import restart, start
+from rodjax.dynamics.fixed_rollout import rollout
+from rodjax.dynamics.step_control import StepControl
+from rodjax.inputs.schedules import Function, Smooth
+from rodjax.interactions.loads import LinearDrag, MorisonDrag, PointLoad
+from rodjax.numerics.results import Result, SimulationError
+from rodjax.rods.inertia import node_inertia
+from rodjax.rods.rod import curved_rod, straight_rod
+from rodjax.scenes.scene import Scene
 
 # Constraints that change
 

@@ -4,14 +4,14 @@ import jax.numpy as jnp
 import numpy as np
 
 from rodjax import energy, rotations
-from rodjax.adaptive import adaptive_rollout
-from rodjax.consistency import start
-from rodjax.ends import Clamped
-from rodjax.loads import LinearDrag
-from rodjax.results import Result
-from rodjax.rod import Section, straight_rod
-from rodjax.scene import Scene
-from rodjax.strains import element_quaternions
+from rodjax.constraints.ends import Clamped
+from rodjax.dynamics.adaptive import adaptive_rollout
+from rodjax.dynamics.consistency import start
+from rodjax.interactions.loads import LinearDrag
+from rodjax.numerics.results import Result
+from rodjax.rods.rod import Section, straight_rod
+from rodjax.rods.strains import element_quaternions
+from rodjax.scenes.scene import Scene
 
 
 @pytest.mark.slow

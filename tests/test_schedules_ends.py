@@ -12,19 +12,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from rodjax import rotations
-from rodjax.adaptive import adaptive_rollout
-from rodjax.consistency import start
-from rodjax.ends import Clamped, Free, Pinned, Slider, Switched, Turn, increments, rates
-from rodjax.loads import PointLoad
-from rodjax.rod import straight_rod
-from rodjax.scene import Scene, projectors
-from rodjax.schedules import (
-    Constant,
-    Function,
-    PiecewiseLinear,
-    PiecewiseLinearRate,
-    Smooth,
-)
+from rodjax.constraints.ends import Clamped, Free, Pinned, Slider, Switched, Turn, increments, rates
+from rodjax.dynamics.adaptive import adaptive_rollout
+from rodjax.dynamics.consistency import start
+from rodjax.inputs.schedules import Constant, Function, PiecewiseLinear, PiecewiseLinearRate, Smooth
+from rodjax.interactions.loads import PointLoad
+from rodjax.rods.rod import straight_rod
+from rodjax.scenes.scene import Scene, projectors
 
 few = settings(max_examples=30, deadline=None)
 NAN = float("nan")

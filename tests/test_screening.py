@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 from helpers import DIAMETER, LAWS, PAIR, hairpin
 
-from rodjax import contact as contact_of
-from rodjax import contact_forces as forces_of
-from rodjax import screening
-from rodjax.contact import Contact
-from rodjax.coupled import find_nearby
-from rodjax.rod import circular_section, straight_rod
-from rodjax.scene import Scene
+from rodjax.equations.coupled import find_nearby
+from rodjax.interactions import contact as contact_of
+from rodjax.interactions import contact_forces as forces_of
+from rodjax.interactions import screening
+from rodjax.interactions.contact import Contact
+from rodjax.rods.rod import circular_section, straight_rod
+from rodjax.scenes.scene import Scene
 
 
 def test_points_find_their_partners(bent):

@@ -10,14 +10,14 @@ import pytest
 from helpers import final_state, order_of, slow
 
 from rodjax import semidiscrete
-from rodjax.consistency import start
-from rodjax.ends import Clamped, Free, Slider, Switched, Turn
-from rodjax.generalized_alpha import GeneralizedAlpha
-from rodjax.loads import Gravity, MorisonDrag
-from rodjax.rod import Section, circular_section, straight_rod
-from rodjax.rotations import exponential, logarithm
-from rodjax.scene import Scene
-from rodjax.schedules import Function
+from rodjax.constraints.ends import Clamped, Free, Slider, Switched, Turn
+from rodjax.dynamics.consistency import start
+from rodjax.equations.generalized_alpha import GeneralizedAlpha
+from rodjax.inputs.schedules import Function
+from rodjax.interactions.loads import Gravity, MorisonDrag
+from rodjax.numerics.rotations import exponential, logarithm
+from rodjax.rods.rod import Section, circular_section, straight_rod
+from rodjax.scenes.scene import Scene
 
 SECTION = Section(
     stiffness=(1.0, 1.3, 0.8),

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from helpers import primitives
 
-from rodjax.signs import determinant_signs, negative_eigenvalues
+from rodjax.numerics.signs import determinant_signs, negative_eigenvalues
 
 RNG = np.random.default_rng(3)
 ROTATIONS = np.linalg.qr(RNG.normal(size=(4, 6, 6)))[0]

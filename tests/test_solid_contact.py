@@ -11,10 +11,10 @@ import pytest
 from test_contact_potential import meeting, report
 
 import rodjax as rx
-from rodjax import overlap
-from rodjax.contact_laws import PairProperties
-from rodjax.coupled import find_nearby
-from rodjax.placing import placing
+from rodjax.equations import overlap
+from rodjax.equations.coupled import find_nearby
+from rodjax.interactions.contact_laws import PairProperties
+from rodjax.scenes.placing import placing
 
 D = 0.1  # of the strands of `meeting`
 FORCE = 7.0

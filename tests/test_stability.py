@@ -8,14 +8,14 @@ import pytest
 from helpers import order_of
 
 from rodjax import rotations
-from rodjax.ends import Clamped, Free, Pinned, Slider
-from rodjax.linear_stability import stability
-from rodjax.loads import LinearDrag, PointLoad
-from rodjax.placing import placing
-from rodjax.rod import Section, straight_rod
-from rodjax.scene import Scene
-from rodjax.schedules import Constant
-from rodjax.small_vibration import vibration
+from rodjax.constraints.ends import Clamped, Free, Pinned, Slider
+from rodjax.equilibria.linear_stability import stability
+from rodjax.equilibria.small_vibration import vibration
+from rodjax.inputs.schedules import Constant
+from rodjax.interactions.loads import LinearDrag, PointLoad
+from rodjax.rods.rod import Section, straight_rod
+from rodjax.scenes.placing import placing
+from rodjax.scenes.scene import Scene
 
 # multiples of eight: elements of equal length with the neck's ends on nodes
 GRIDS = (20, 64)

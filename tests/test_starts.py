@@ -9,20 +9,25 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from rodjax.adaptive import adaptive_rollout
-from rodjax.consistency import start
-from rodjax.ends import AbstractEnd, Clamped, Free, Pinned, Slider, Switched, Turn
-from rodjax.fixed_rollout import rollout
-from rodjax.load_path import equilibrium
-from rodjax.loads import Gravity, LinearDrag, PointLoad
-from rodjax.placing import placing
-from rodjax.results import Result
-from rodjax.rigid_motions import check_held
-from rodjax.rod import Section, circular_section, curved_rod, straight_rod
-from rodjax.scene import Scene
-from rodjax.schedules import AbstractSchedule, Constant
-from rodjax.small_vibration import vibration
-from rodjax.start_checks import check_held_once, check_single_precision, check_spin, least_hold
+from rodjax.constraints.ends import AbstractEnd, Clamped, Free, Pinned, Slider, Switched, Turn
+from rodjax.dynamics.adaptive import adaptive_rollout
+from rodjax.dynamics.consistency import start
+from rodjax.dynamics.fixed_rollout import rollout
+from rodjax.equations.rigid_motions import check_held
+from rodjax.equations.start_checks import (
+    check_held_once,
+    check_single_precision,
+    check_spin,
+    least_hold,
+)
+from rodjax.equilibria.load_path import equilibrium
+from rodjax.equilibria.small_vibration import vibration
+from rodjax.inputs.schedules import AbstractSchedule, Constant
+from rodjax.interactions.loads import Gravity, LinearDrag, PointLoad
+from rodjax.numerics.results import Result
+from rodjax.rods.rod import Section, circular_section, curved_rod, straight_rod
+from rodjax.scenes.placing import placing
+from rodjax.scenes.scene import Scene
 
 N = 12
 DRAG = (LinearDrag(1.0, 1.0, 0.1),)

@@ -7,16 +7,16 @@ import numpy as np
 import pytest
 from helpers import DIAMETER, hairpin
 
-from rodjax.contact import Contact
-from rodjax.contact_laws import InversePower
-from rodjax.ends import Clamped, Free
-from rodjax.linear_stability import stability
-from rodjax.load_path import equilibrium
-from rodjax.loads import PointLoad
-from rodjax.placing import placing
-from rodjax.scene import Scene
-from rodjax.schedules import Constant
-from rodjax.statics import at_rest, static_balance
+from rodjax.constraints.ends import Clamped, Free
+from rodjax.equations.statics import at_rest, static_balance
+from rodjax.equilibria.linear_stability import stability
+from rodjax.equilibria.load_path import equilibrium
+from rodjax.inputs.schedules import Constant
+from rodjax.interactions.contact import Contact
+from rodjax.interactions.contact_laws import InversePower
+from rodjax.interactions.loads import PointLoad
+from rodjax.scenes.placing import placing
+from rodjax.scenes.scene import Scene
 
 
 def squeezed(first, last, node):

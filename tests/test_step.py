@@ -10,18 +10,18 @@ import pytest
 from helpers import PRECISE, UNIT_SECTION, UP, driven_scene, final_state, stretch_error, time
 
 from rodjax import rotations
-from rodjax.adaptive import adaptive_rollout
-from rodjax.consistency import start
-from rodjax.ends import Clamped, Free, Slider, Turn
-from rodjax.fixed_rollout import rollout
-from rodjax.generalized_alpha import GeneralizedAlpha
-from rodjax.loads import Gravity, LinearDrag, MorisonDrag, PointLoad
-from rodjax.results import Result
-from rodjax.rod import circular_section, straight_rod
-from rodjax.scene import Scene
-from rodjax.schedules import PiecewiseLinear, Smooth
-from rodjax.stepping import step
-from rodjax.strains import strains
+from rodjax.constraints.ends import Clamped, Free, Slider, Turn
+from rodjax.dynamics.adaptive import adaptive_rollout
+from rodjax.dynamics.consistency import start
+from rodjax.dynamics.fixed_rollout import rollout
+from rodjax.dynamics.stepping import step
+from rodjax.equations.generalized_alpha import GeneralizedAlpha
+from rodjax.inputs.schedules import PiecewiseLinear, Smooth
+from rodjax.interactions.loads import Gravity, LinearDrag, MorisonDrag, PointLoad
+from rodjax.numerics.results import Result
+from rodjax.rods.rod import circular_section, straight_rod
+from rodjax.rods.strains import strains
+from rodjax.scenes.scene import Scene
 
 
 @pytest.fixture(scope="module")

@@ -7,14 +7,14 @@ import numpy as np
 import pytest
 from helpers import slow
 
-from rodjax.consistency import start
-from rodjax.ends import Clamped, Slider, Turn
-from rodjax.fixed_rollout import rollout
-from rodjax.generalized_alpha import GeneralizedAlpha
-from rodjax.loads import LinearDrag, MorisonDrag
-from rodjax.rod import Section, straight_rod
-from rodjax.scene import Scene
-from rodjax.schedules import Smooth
+from rodjax.constraints.ends import Clamped, Slider, Turn
+from rodjax.dynamics.consistency import start
+from rodjax.dynamics.fixed_rollout import rollout
+from rodjax.equations.generalized_alpha import GeneralizedAlpha
+from rodjax.inputs.schedules import Smooth
+from rodjax.interactions.loads import LinearDrag, MorisonDrag
+from rodjax.rods.rod import Section, straight_rod
+from rodjax.scenes.scene import Scene
 
 ELEMENTS, STEPS = 12, 10
 KNOTS = (0.0, 0.25, 9.0)

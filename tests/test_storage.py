@@ -8,11 +8,20 @@ import numpy as np
 import pytest
 from helpers import driven_scene
 
-from rodjax import ends, loads, run_files, schedules, sealed_files, storage
-from rodjax.adaptive import adaptive_rollout
-from rodjax.consistency import start
-from rodjax.contact import Contact
-from rodjax.contact_laws import (
+from rodjax import storage
+from rodjax.constraints import ends
+from rodjax.dynamics.adaptive import adaptive_rollout
+from rodjax.dynamics.consistency import start
+from rodjax.dynamics.fixed_rollout import rollout
+from rodjax.dynamics.run import continued, join_runs
+from rodjax.dynamics.step_control import StepControl
+from rodjax.equations.generalized_alpha import GeneralizedAlpha
+from rodjax.files import run_files, sealed_files
+from rodjax.files.units import Units
+from rodjax.inputs import schedules
+from rodjax.interactions import loads
+from rodjax.interactions.contact import Contact
+from rodjax.interactions.contact_laws import (
     Barrier,
     DampedInversePower,
     DebyeHueckel,
@@ -20,14 +29,9 @@ from rodjax.contact_laws import (
     LennardJones,
     Penalty,
 )
-from rodjax.fixed_rollout import rollout
-from rodjax.generalized_alpha import GeneralizedAlpha
-from rodjax.results import ModelWarning, Result
-from rodjax.rod import Section, straight_rod
-from rodjax.run import continued, join_runs
-from rodjax.scene import Scene
-from rodjax.step_control import StepControl
-from rodjax.units import Units
+from rodjax.numerics.results import ModelWarning, Result
+from rodjax.rods.rod import Section, straight_rod
+from rodjax.scenes.scene import Scene
 
 CHUNK = 8
 END = 1.0

@@ -14,10 +14,10 @@ import numpy as np
 import pytest
 
 import rodjax
-from rodjax.batching import largest
-from rodjax.fingerprint import fingerprint
-from rodjax.sealed_files import StorageError
-from rodjax.sweep import read, sweep
+from rodjax.files.fingerprint import fingerprint
+from rodjax.files.sealed_files import StorageError
+from rodjax.files.sweep import read, sweep
+from rodjax.numerics.batching import largest
 
 PLACES = [str(Path(file).parents[i]) for file, i in ((__file__, 0), (rodjax.__file__, 1))]
 PARAMETERS = {"a": np.arange(7.0), "b": np.linspace(-1.0, 1.0, 7)[:, None] * np.ones(2)}

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from helpers import UNIT_SECTION
 
-from rodjax.curves import through
-from rodjax.results import ModelWarning
-from rodjax.rod import Section, circular_section, curved_rod, straight_rod
-from rodjax.strains import strains
+from rodjax.numerics.results import ModelWarning
+from rodjax.rods.curves import through
+from rodjax.rods.rod import Section, circular_section, curved_rod, straight_rod
+from rodjax.rods.strains import strains
 
 ELEMENTS = 6
 

@@ -7,14 +7,14 @@ import jax
 import jax.numpy as jnp
 import pytest
 
-from rodjax.contact import Contact
-from rodjax.contact_laws import InversePower
-from rodjax.ends import Clamped, Slider, Switched
-from rodjax.loads import Gravity, MorisonDrag
-from rodjax.placing import placing
-from rodjax.rod import Section, straight_rod
-from rodjax.scene import Scene
-from rodjax.stepping import prepare, step
+from rodjax.constraints.ends import Clamped, Slider, Switched
+from rodjax.dynamics.stepping import prepare, step
+from rodjax.interactions.contact import Contact
+from rodjax.interactions.contact_laws import InversePower
+from rodjax.interactions.loads import Gravity, MorisonDrag
+from rodjax.rods.rod import Section, straight_rod
+from rodjax.scenes.placing import placing
+from rodjax.scenes.scene import Scene
 
 CONTACT = {"contact.py", "screening.py", "contact_forces.py", "contact_laws.py"}
 

@@ -9,15 +9,15 @@ import pytest
 from helpers import slow
 
 from rodjax import measures
-from rodjax.ends import Clamped, Free, Slider, Turn
-from rodjax.energy import reactions
-from rodjax.load_path import equilibrium as stable_equilibrium
-from rodjax.loads import PointLoad
-from rodjax.placing import placing
-from rodjax.results import ModelWarning, Result
-from rodjax.rod import Section, straight_rod
-from rodjax.scene import Scene
-from rodjax.schedules import Constant, PiecewiseLinear
+from rodjax.constraints.ends import Clamped, Free, Slider, Turn
+from rodjax.equilibria.load_path import equilibrium as stable_equilibrium
+from rodjax.inputs.schedules import Constant, PiecewiseLinear
+from rodjax.interactions.loads import PointLoad
+from rodjax.measuring.energy import reactions
+from rodjax.numerics.results import ModelWarning, Result
+from rodjax.rods.rod import Section, straight_rod
+from rodjax.scenes.placing import placing
+from rodjax.scenes.scene import Scene
 
 C = 0.7
 ELEMENTS = 40

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import rodjax as rx
-from rodjax.results import ModelWarning
+from rodjax.numerics.results import ModelWarning
 
 # along others rounding alone would excite a rod that is twisted
 UP, ALONG = (0.0, 0.0, 1.0), (1.0, 0.0, 0.0)

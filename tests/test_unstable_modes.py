@@ -6,18 +6,18 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from rodjax.balance import Internal
-from rodjax.contact import Contact
-from rodjax.contact_laws import Penalty
-from rodjax.coupled import find_nearby
-from rodjax.ends import Clamped, Free, Pinned, Slider
-from rodjax.loads import PointLoad
-from rodjax.placing import placing
-from rodjax.rod import Section, straight_rod
-from rodjax.scene import Scene
-from rodjax.schedules import Constant
-from rodjax.statics import Ramp, StaticEquations, moving_weight
-from rodjax.unstable_modes import count_below, neutral
+from rodjax.constraints.ends import Clamped, Free, Pinned, Slider
+from rodjax.equations.coupled import find_nearby
+from rodjax.equations.statics import Ramp, StaticEquations, moving_weight
+from rodjax.equilibria.unstable_modes import count_below, neutral
+from rodjax.inputs.schedules import Constant
+from rodjax.interactions.contact import Contact
+from rodjax.interactions.contact_laws import Penalty
+from rodjax.interactions.loads import PointLoad
+from rodjax.rods.balance import Internal
+from rodjax.rods.rod import Section, straight_rod
+from rodjax.scenes.placing import placing
+from rodjax.scenes.scene import Scene
 
 ELEMENTS = 40
 

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 import rodjax as rx
-from rodjax import validation
-from rodjax.validation import (
+from rodjax.inputs import validation
+from rodjax.inputs.validation import (
     as_float,
     as_float_or_none,
     as_integer,

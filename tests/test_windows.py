@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from helpers import driven_scene
 
-from rodjax.consistency import start
-from rodjax.fixed_rollout import rollout
-from rodjax.windows import cut, defects, roll
+from rodjax.dynamics.consistency import start
+from rodjax.dynamics.fixed_rollout import rollout
+from rodjax.dynamics.windows import cut, defects, roll
 
 
 @pytest.fixture(scope="module")

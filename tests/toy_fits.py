@@ -4,8 +4,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rodjax.bounds import Positive
-from rodjax.observations import Observations
+from rodjax.fitting.bounds import Positive
+from rodjax.fitting.observations import Observations
 
 TIMES = jnp.linspace(0.0, 3.0, 20)
 TRUTH = {"a": 2.0, "k": 1.3}

@@ -1,0 +1,357 @@
+"""Rollouts whose steps are chosen by the local error."""
+
+import dataclasses
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from functools import partial
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+from jaxtyping import Array, Bool, Int
+
+from rodjax.dynamics import passages
+from rodjax.dynamics.coarseness import warn_if_hopeless
+from rodjax.dynamics.consistency import compiled_restart, start
+from rodjax.dynamics.run import Run, join_runs
+from rodjax.dynamics.step_control import (
+    Control,
+    StepControl,
+    begin,
+    choose,
+    error_ratio,
+    near_end,
+    tolerances_of,
+)
+from rodjax.dynamics.stepping import (
+    StepInfo,
+    advance_to,
+    begin_constraint,
+    no_info,
+    prepare,
+    switching,
+)
+from rodjax.dynamics.unexcited import warn_if_unexcited
+from rodjax.equations import overlap
+from rodjax.equations.generalized_alpha import GeneralizedAlpha
+from rodjax.inputs.validation import all_known, as_integer, check_instance, check_integer
+from rodjax.numerics import results
+from rodjax.numerics.compilation import compiled
+from rodjax.numerics.pace import Pace
+from rodjax.numerics.results import Interrupted, Result, as_code
+from rodjax.rods.state import State
+from rodjax.scenes import drives
+from rodjax.scenes.arguments import check_end_time, check_motion
+from rodjax.scenes.placing import placing
+from rodjax.scenes.scene import Scene
+
+
+class _Chunk(NamedTuple):
+    """Carry of the adaptive loop; the buffers hold the accepted steps of one chunk."""
+
+    state: State
+    control: Control
+    states: State
+    infos: StepInfo
+    accepted: Int[Array, ""]
+    rejected: Int[Array, ""]
+    wasted: Int[Array, ""]
+    result: Int[Array, ""]
+    done: Bool[Array, ""]
+    switching: Bool[Array, ""]  # a constraint begins: the caller makes the state consistent
+
+
+class _Progress(NamedTuple):
+    """What has been computed; replaced as a whole, so that an interruption finds it consistent."""
+
+    state: State
+    control: Control
+    begun: tuple[State, Control]  # where the chunk began
+    pieces: tuple[tuple[State, StepInfo], ...]  # accepted in the chunk, call by call
+    parts: tuple[Run, ...] = ()  # the chunks before
+    accepted: int = 0  # in the parts
+    rejected: int = 0
+    wasted: int = 0
+    loss: Array | None = None  # of the constraint that began with the chunk
+    code: Result = Result.SUCCESS
+    done: bool = False
+    switching: bool = False
+
+    @classmethod
+    def of(cls, state: State, control: Control) -> "_Progress":
+        return cls(state, control, (state, control), (cls._nothing(state),))
+
+    @staticmethod
+    def _nothing(state: State) -> tuple[State, StepInfo]:
+        empty = lambda leaf: np.zeros((0, *leaf.shape), leaf.dtype)
+        return jax.tree.map(empty, (state, no_info(state.position.dtype)))
+
+    @property
+    def count(self) -> int:
+        """Steps accepted in the chunk."""
+        return sum(len(states.time) for states, _ in self.pieces)
+
+    @property
+    def chunk_kept(self) -> bool:
+        """Whether the last chunk closed has steps."""
+        return len(self.parts[-1].states.time) > 0
+
+    def entering(self, scene: Scene) -> "_Progress":
+        """At the begin of a chunk, with a constraint that begins there."""
+        if not (scene.switch_times and bool(switching(scene, self.state))):
+            return self
+        state, loss, held = begin_constraint(scene, self.state, compiled_restart)
+        code = Result(int(held))
+        return self._replace(state=state, loss=loss, code=code, done=code is not Result.SUCCESS)
+
+    def longer(self, out: _Chunk) -> "_Progress":
+        """With the steps of a call."""
+        cut = lambda leaf: np.asarray(leaf)[: int(out.accepted)]
+        return self._replace(
+            state=out.state,
+            control=out.control,
+            pieces=(*self.pieces, jax.tree.map(cut, (out.states, out.infos))),
+            rejected=self.rejected + int(out.rejected),
+            wasted=self.wasted + int(out.wasted),
+            code=Result(int(out.result)),
+            done=bool(out.done),
+            switching=bool(out.switching),
+        )
+
+    def closed(self, scene: Scene, max_steps: int) -> "_Progress":
+        """With the chunk among the parts, unless a strand passed in it."""
+        now, count = self, self.count
+        if count and passages.passed_unseen(scene, self.begun[0], self.state):
+            # somewhere in this chunk, of which nothing is kept
+            state, control = self.begun
+            code, none = Result.STRAND_PASSAGE, (self._nothing(state),)
+            now = now._replace(state=state, control=control, pieces=none, code=code, done=True)
+            count = 0
+        accepted = now.accepted + count
+        if not now.done and accepted >= max_steps:
+            now = now._replace(code=Result.MAX_STEPS, done=True)
+        states, infos = jax.tree.map(lambda *parts: np.concatenate(parts), *now.pieces)
+        if now.loss is not None and count:
+            infos.projection_loss[0] = now.loss
+        as_int = lambda x: jnp.asarray(x, jnp.int32)
+        counts = as_code(now.code), as_int(now.rejected), as_int(now.wasted)
+        part = Run(states, infos, *counts, now.control)
+        return now._replace(
+            begun=(now.state, now.control),
+            pieces=(self._nothing(now.state),),
+            parts=(*now.parts, part),
+            accepted=accepted,
+            loss=None,
+            switching=False,
+        )
+
+
+def adaptive_rollout(
+    scene: Scene,
+    state: State,
+    end_time: float | None = None,
+    method: GeneralizedAlpha | None = None,
+    control: StepControl | None = None,
+    *,
+    resume: Control | None = None,
+    max_steps: int = 100_000,
+    chunk: int = 50,
+    on_chunk: Callable[[Run], None] | None = None,
+    throw: bool = True,
+) -> Run:
+    """Run to `end_time` with steps chosen by the local error; every accepted step is saved.
+
+    Steps end exactly on the times at which a constraint or a drive's rate changes (and a
+    constraint that begins at `end_time` itself is left to the run resumed from there). The loop
+    is compiled once, in calls of about a second; `on_chunk(part)` is called after each `chunk` of
+    accepted steps (and for what an interruption leaves of one), for progress and storage, with a
+    `Run` of these steps (its states lack the start, its counts are those so far; see `join_runs`;
+    none if the run fails before the first of them); `rodjax.storage.Recorder` keeps them.
+    A chunk over which Tw + Wr jumped is dropped and the run fails by STRAND_PASSAGE; where strands
+    would overlap so far that the contact cannot hold them, with steps of any size, it ends by
+    CONTACT_OVERCOME. Not differentiable itself: replay `run.times[1:]` by `rollout`, whose
+    derivative is exact for that schedule.
+    `compile_adaptive_rollout` compiles the loop beforehand.
+
+    Args:
+        scene, state: the scene, and where the run begins (`start(scene)`, or the end of a run).
+        end_time: where it ends [s].
+        method: the time integration; default `GeneralizedAlpha()`.
+        control: tolerances and bounds of the steps; default `StepControl()`.
+        resume: `run.control` of a run to go on with, from `state=run.resume_state`. Both are those
+            of before the last steps were shortened to end on that run's end time, so that with the
+            same bounds of the step (`StepControl.max_step`; by default they depend on the span of
+            the first run, and are kept) it does not matter, in any bit, where a run was cut; see
+            `rodjax.run.continued`.
+        max_steps: accepted steps after which the run fails by MAX_STEPS.
+        chunk: accepted steps between two returns to Python.
+        on_chunk: called with every part.
+        throw: raise `SimulationError` if the run fails; else its code is in `Run.result`.
+
+    Raises:
+        ValueError: a schedule of the scene ends before `end_time`, a tolerance is out of reach of
+            the precision, or something is traced.
+        SimulationError: the run failed; its `.partial` is the run up to the failure.
+        Interrupted: Ctrl-C; its `.partial` is the run up to then, to be resumed as any other.
+    """
+    check_motion(scene, state)
+    check_end_time(end_time)
+    assert end_time is not None
+    if not all_known(scene, state, end_time, method, control, resume):
+        raise ValueError(
+            "scene, state: adaptive_rollout cannot be traced; replay its times by"
+            " rollout(scene, state, run.times[1:]) inside jit, grad or vmap"
+        )
+    span = float(end_time) - float(state.time)
+    chunk, max_steps = as_integer(chunk), as_integer(max_steps)
+    check_integer(1, chunk=chunk)
+    check_integer(1, 2**31 - 1, max_steps=max_steps)
+    if not span > 0:
+        raise ValueError(f"end_time: must lie after the state's time {float(state.time):g}")
+    scene.check_until(float(end_time))
+    overlap.check_apart(scene, state)
+    state = prepare(scene, state)
+    method = GeneralizedAlpha() if method is None else method
+    control = StepControl() if control is None else control
+    check_instance(GeneralizedAlpha, "give GeneralizedAlpha(...)", method=method)
+    check_instance(StepControl, "give StepControl(...)", control=control)
+    dtype = state.position.dtype
+    method.check_precision(dtype)
+    tolerances = tolerances_of(control, dtype)
+    memory = begin(control, span, dtype, resume)
+    end, size = jnp.asarray(end_time, dtype), min(chunk, max_steps)
+    held = overlap.distances_held(scene)
+
+    def some(now: _Progress, passes) -> _Chunk:
+        room = jnp.asarray(size - now.count, jnp.int32)
+        arguments = (end, method, tolerances, held, room, passes, size)
+        return _adaptive_chunk(scene, now.state, now.control, *arguments)
+
+    now, pace = _Progress.of(state, memory), Pace(size)
+    try:
+        while not now.done:
+            now = now.entering(scene)
+            while not (now.done or now.switching or now.count >= size):
+                now = now.longer(pace.call(partial(some, now)))
+            now = now.closed(scene, max_steps)
+            if on_chunk is not None and (now.chunk_kept or now.code is not Result.SUCCESS):
+                on_chunk(now.parts[-1])
+    except KeyboardInterrupt as error:
+        now = now._replace(code=Result.INTERRUPTED, done=True)
+        if now.count or not now.parts:
+            now = now.closed(scene, max_steps)
+            if on_chunk is not None and now.chunk_kept:
+                on_chunk(now.parts[-1])
+        run = dataclasses.replace(join_runs(state, list(now.parts)), result=as_code(now.code))
+        raise Interrupted(f"after t = {float(run.times[-1]):g}", run) from error
+    run, code = join_runs(state, list(now.parts)), now.code
+    allowed = method.newton_error(dtype, now.accepted)
+    if code is Result.SUCCESS and drives.astray(scene, run.states, allowed):
+        code = Result.DRIVE_MISSED
+        run = dataclasses.replace(run, result=as_code(code))
+    if throw:
+        results.raise_if_failed(code, f"after t = {float(run.times[-1]):g}", run)
+    warn_if_hopeless(run)
+    warn_if_unexcited(scene, run)
+    return run
+
+
+def compile_adaptive_rollout(
+    scene: Scene,
+    state: State | None = None,
+    method: GeneralizedAlpha | None = None,
+    *,
+    chunk: int = 50,
+) -> None:
+    """Compile the loop of `adaptive_rollout` for this scene and chunk without taking a step.
+
+    Without a state `start(scene)` is compiled too, at the same time in a thread of its own.
+    """
+    chunk = as_integer(chunk)
+    check_integer(1, chunk=chunk)
+    if state is None:
+        with ThreadPoolExecutor(1) as other:
+            starting = other.submit(start, scene)
+            compile_adaptive_rollout(scene, _placeholder(scene), method, chunk=chunk)
+            starting.result()
+        return
+    control, dtype = StepControl(), state.position.dtype
+    if scene.contact is not None:
+        passages.linking_number(scene, state)
+    state = prepare(scene, state)
+    method = GeneralizedAlpha() if method is None else method
+    memory, tolerances = begin(control, 1.0, dtype), tolerances_of(control, dtype)
+    none = jnp.asarray(0, jnp.int32)
+    held, end = overlap.distances_held(scene), state.time
+    out = _adaptive_chunk(scene, state, memory, end, method, tolerances, held, none, none, chunk)
+    jax.block_until_ready(out.accepted)
+
+
+def _placeholder(scene: Scene) -> State:
+    """A state of the kind that `start` returns, to compile with."""
+    state = placing(scene)
+    return state if scene.rod.mass is None else dataclasses.replace(state, jerk=state.rate)
+
+
+@compiled
+def _adaptive_chunk(scene, state, control, end_time, method, tolerances, held, room, passes, size):
+    """Attempts at steps: at most `passes`, until `room` are accepted, in buffers of `size`."""
+    empty = lambda leaf: jnp.zeros((size, *leaf.shape), leaf.dtype)
+    switches = jnp.asarray(scene.switch_times, end_time.dtype)
+    marks = jnp.concatenate([switches, scene.corners.astype(end_time.dtype), end_time[None]])
+
+    def attempt(loop: _Chunk) -> _Chunk:
+        now = loop.state.time
+        control = near_end(loop.control, end_time - now)
+        dt = control.dt
+        # land on the next mark, without leaving a sliver of a step before it
+        mark = jnp.min(jnp.where(marks > now, marks, jnp.inf))
+        left = mark - now
+        dt = jnp.where(left < 2 * dt, jnp.where(left < 1.01 * dt, left, 0.5 * left), dt)
+        stop = jnp.where(left <= 1.0001 * dt, mark, now + dt)
+        new, info = advance_to(scene, loop.state, stop, method, held)
+        error = error_ratio(tolerances, scene.rod, loop.state, info)
+        accept, following = choose(control, dt, error, info, stop == mark)
+        too_small = ~accept & (following.dt < following.min_step)
+        failed = info.result != Result.SUCCESS
+        result = jnp.where(failed, info.result, Result.STEP_TOO_SMALL)
+        result = jnp.where(too_small, result, Result.SUCCESS)
+        put = lambda buffer, value: buffer.at[jnp.where(accept, loop.accepted, size)].set(
+            value, mode="drop"
+        )
+        chosen = jax.tree.map(lambda a, b: jnp.where(accept, a, b), new, loop.state)
+        one = accept.astype(jnp.int32)
+        return _Chunk(
+            chosen,
+            following,
+            jax.tree.map(put, loop.states, new),
+            jax.tree.map(put, loop.infos, info),
+            loop.accepted + one,
+            loop.rejected + 1 - one,
+            loop.wasted + (1 - one) * info.iterations,
+            result.astype(jnp.int32),
+            (chosen.time >= end_time) | too_small,
+            accept & jnp.any(chosen.time == switches),
+        )
+
+    zero = jnp.asarray(0, jnp.int32)
+    first = _Chunk(
+        state,
+        control,
+        jax.tree.map(empty, state),
+        jax.tree.map(empty, no_info(state.position.dtype)),
+        zero,
+        zero,
+        zero,
+        zero,
+        state.time >= end_time,
+        jnp.asarray(False),
+    )
+
+    def going(loop: _Chunk):
+        tried = loop.accepted + loop.rejected
+        return ~loop.done & ~loop.switching & (loop.accepted < room) & (tried < passes)
+
+    return lax.while_loop(going, attempt, first)

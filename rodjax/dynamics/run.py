@@ -1,0 +1,143 @@
+"""A stored motion."""
+
+import dataclasses
+
+import equinox as eqx
+import jax
+import jax.core
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from rodjax.dynamics.step_control import Control
+from rodjax.dynamics.stepping import StepInfo
+from rodjax.inputs.brief import brief
+from rodjax.numerics.results import Result
+from rodjax.rods.state import State
+
+
+class Run(eqx.Module):
+    """A stored motion: the states saved, the first being the start, and what every step told.
+
+    `states` has a leading axis over the saved states, `infos` over the accepted steps. `control`
+    is the step control's memory of an adaptive run (None otherwise): with it, resuming from
+    `resume_state` continues bit for bit.
+
+    Attributes:
+        states: the `State`s saved, stacked; `run.state(i)`, `run.final`, `run.times` pick of them.
+        infos: a `StepInfo` of stacked numbers, one an accepted step.
+        result: worst `Result` of the run, as a number; 0 is success.
+        rejected: steps that an adaptive run took back.
+        wasted_iterations: Newton iterations of those.
+        control: memory of the step control.
+    """
+
+    states: State
+    infos: StepInfo
+    result: Int[Array, ""]
+    rejected: Int[Array, ""]
+    wasted_iterations: Int[Array, ""]
+    control: Control | None = None
+
+    def __repr__(self) -> str:
+        known = isinstance(self.result, jax.Array | np.ndarray) and np.ndim(self.result) == 0
+        if not known or isinstance(self.result, jax.core.Tracer):
+            return f"Run(states={brief(self.states.time)}, result={brief(self.result)})"
+        times = np.asarray(self.times)
+        span = f"{times[0]:g} to {times[-1]:g}" if len(times) else "none"
+        parts = f"steps={len(self.infos.result)}, states={len(times)}, times={span}"
+        return (
+            f"Run({parts}, rejected={int(self.rejected)}, result={Result(int(self.result)).name})"
+        )
+
+    @property
+    def times(self) -> Float[Array, " k"]:
+        """Times of the saved states."""
+        return self.states.time
+
+    @property
+    def final(self) -> State:
+        """The last state."""
+        return jax.tree.map(lambda leaf: leaf[-1], self.states)
+
+    @property
+    def resume_state(self) -> State:
+        """The last state that the end of the run had no part in.
+
+        An adaptive run shortens its last steps to end on its end time; a longer run would not
+        have. Resumed from here it takes the steps of the longer run.
+        """
+        landing = 0 if self.control is None else max(int(self.control.landing), 0)
+        return self.state(-1 - landing)
+
+    def state(self, index: int) -> State:
+        """One saved state."""
+        return jax.tree.map(lambda leaf: leaf[index], self.states)
+
+    def nearest(self, time: float) -> State:
+        """The saved state nearest to a time."""
+        return self.state(int(np.argmin(np.abs(np.asarray(self.times) - time))))
+
+
+def join_runs(start: State, parts: list[Run]) -> Run:
+    """The run from `start` through the parts given to `on_chunk`, up to the last of them.
+
+    Raises:
+        ValueError: there is no part, or a part does not begin after the one before.
+    """
+    if not parts:
+        raise ValueError("parts: there is none")
+    times = [np.asarray(start.time)[None], *(np.asarray(part.states.time) for part in parts)]
+    with_start = any(len(part.states.time) > len(part.infos.result) for part in parts)
+    # equal after a failure, where the last good state may be repeated
+    if with_start or np.any(np.diff(np.concatenate(times)) < 0):
+        raise ValueError(
+            "parts: each must begin after the end of the one before, without the state it began"
+            " from, as those given to on_chunk do; for a run and what resumed it, use"
+            " rodjax.run.continued(run, rest)"
+        )
+    last = parts[-1]
+    if start.settling is None and last.states.settling is not None:  # as the rollout did
+        start = dataclasses.replace(start, settling=jnp.asarray(0, jnp.int32))
+    join = lambda *leaves: np.concatenate(leaves)
+    states, infos = jax.tree.map(join, *[(part.states, part.infos) for part in parts])
+    infos = jax.tree.map(jnp.asarray, infos)
+    first = lambda a, b: jnp.asarray(np.concatenate([np.asarray(a)[None], b]))
+    states = jax.tree.map(first, start, states)
+    return Run(states, infos, last.result, last.rejected, last.wasted_iterations, last.control)
+
+
+def continued(run: Run, rest: Run) -> Run:
+    """A run and the one that resumed it as one.
+
+    What lies after the start of `rest` is left out of `run`: its steps to its end time, which the
+    resumed run makes anew. Counts of rejected steps are those of both.
+
+    Raises:
+        ValueError: `rest` does not begin from a state of `run`, or not every step was saved.
+    """
+    first = jax.tree.map(lambda leaf: leaf[0], rest.states)
+    at = np.flatnonzero(np.asarray(run.times) == np.asarray(first.time))
+    if not at.size or not _equal(run.state(int(at[-1])), first):
+        raise ValueError("rest: it does not begin from a state of run, as `resume` begins")
+    count = int(at[-1])
+    if run.infos.result.shape[0] != run.times.shape[0] - 1:
+        raise ValueError("run: only of a run of which every step was saved")
+    cut = lambda tree, size: jax.tree.map(lambda leaf: leaf[:size], tree)
+    join = lambda a, b: jnp.concatenate([a, b])
+    return Run(
+        jax.tree.map(join, cut(run.states, count), rest.states),
+        jax.tree.map(join, cut(run.infos, count), rest.infos),
+        rest.result,
+        run.rejected + rest.rejected,
+        run.wasted_iterations + rest.wasted_iterations,
+        rest.control,
+    )
+
+
+def _equal(a: State, b: State) -> bool:
+    """Whether states are the same bit for bit."""
+    same = lambda x, y: np.asarray(x).tobytes() == np.asarray(y).tobytes()
+    return jax.tree.structure(a) == jax.tree.structure(b) and all(
+        same(x, y) for x, y in zip(jax.tree.leaves(a), jax.tree.leaves(b), strict=True)
+    )

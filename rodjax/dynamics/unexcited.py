@@ -1,0 +1,72 @@
+"""Rods that stay straight because nothing excites the modes in which they would buckle.
+
+A straight rod without imperfection stays straight whatever presses or twists it: the equations are
+solved, and no rod would do so. The ends of runs are looked at for that; `check` looks at the
+stability of any state of rest, `equilibrium` counts the modes itself.
+"""
+
+import warnings
+
+import jax.numpy as jnp
+import numpy as np
+
+from rodjax.dynamics.coarseness import turns_of_elements
+from rodjax.dynamics.run import Run
+from rodjax.equations.rigid_motions import check_held
+from rodjax.equations.statics import Ramp, StaticEquations, imbalance, moving_weight
+from rodjax.equilibria.unstable_modes import count_below, neutral
+from rodjax.numerics.compilation import compiled
+from rodjax.numerics.results import ModelWarning
+from rodjax.rods.state import State
+from rodjax.scenes.scene import Scene
+
+# P L^2/A + (M L/2A)^2 of a thrust P and a torque M below which no straight rod buckles, whatever
+# holds it: pi^2/4 is a cantilever's under thrust, pi^2 that of one between pins under both.
+_SAFE = 2.0
+
+
+def warn_if_unexcited(scene: Scene, run: Run) -> None:
+    """ModelWarning where a run ends straight, with unstable modes (outside traced code)."""
+    final = run.final
+    position, force = np.asarray(final.position), np.asarray(final.force)
+    chord = position[-1] - position[0]
+    length = np.sum(np.asarray(scene.rod.length))
+    along = chord / np.maximum(np.linalg.norm(chord), np.finfo(chord.dtype).tiny)
+    aside = position - position[0] - np.outer((position - position[0]) @ along, along)
+    rounding = np.sqrt(np.finfo(position.dtype).eps)
+    # a state that is not finite is not straight either
+    if not np.max(np.abs(aside)) <= rounding * length:
+        return
+    stiffness = np.asarray(scene.rod.stiffness)
+    thrust = max(float(np.max(-force[:, 2])), 0.0)  # along the tangents
+    twist = turns_of_elements(np.asarray(final.quaternion))[:, 2] / np.asarray(scene.rod.length)
+    twist = twist - np.asarray(scene.rod.natural_curvature)[:, 2]
+    torque = float(np.max(np.abs(stiffness[:, 2] * twist)))
+    soft = np.min(stiffness[:, :2])
+    if thrust * length**2 / soft + (0.5 * torque * length / soft) ** 2 < _SAFE:
+        return
+    try:
+        check_held(scene, final, spin_free=True)
+    except ValueError:  # it is free to move: at rest nowhere
+        return
+    modes = int(_unstable(scene, final))
+    if modes > 0:
+        warnings.warn(
+            f"the rod ends straight, under a thrust of {thrust:.3g} N and a torque of"
+            f" {torque:.3g} N m, with {modes} unstable mode(s) that nothing in the scene excites; a"
+            " rod would leave this state at the least disturbance. Give it an imperfection,"
+            " rodjax.imperfect(rod), or a small load",
+            ModelWarning,
+            stacklevel=3,
+        )
+
+
+@compiled
+def _unstable(scene: Scene, state: State):
+    # it moves, if slowly, so that its loads do not balance: what they lack is given
+    one = jnp.ones_like(state.time)
+    ramp = Ramp(one, imbalance(scene, state, one))
+    place = state.position, state.quaternion
+    equations = StaticEquations(scene, state, *place, state.time, one, ramp)
+    level = neutral(scene, state.force) * moving_weight(scene)
+    return count_below(equations, equations.guess(state.force), level[None], 1)[0]

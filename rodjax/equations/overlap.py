@@ -1,0 +1,185 @@
+"""Strands nearer to each other than their contact law can hold them.
+
+Long strands that cross at the angle alpha at a distance x push each other apart by the double
+integral of the law over both,
+
+    F(x) = 2 pi x phi(x) / sin(alpha),
+
+phi the law's potential counted from the cut-off. Solids that give way, as a penalty does, have a
+largest F, and so has every law that is continued below its smallest distance. Nearer than where it
+is, the strands are held the less the deeper they are in each other: they pass, or have passed.
+
+Steps look at it in the pairs of segments that are near (`too_near`); starts, and equilibria outside
+traced code, are looked at whole, and told where (`deepest`).
+"""
+
+from typing import NamedTuple
+
+import jax
+import jax.core
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float
+from scipy.spatial import KDTree
+
+from rodjax.equations.coupled import Nearby
+from rodjax.interactions.contact import Contact, Sites, along, interpolate, sites
+from rodjax.interactions.contact_energy import pair_energy
+from rodjax.interactions.contact_laws import PairProperties
+from rodjax.numerics import newton
+from rodjax.numerics.batching import only_where
+from rodjax.numerics.compilation import compiled
+from rodjax.rods.state import State
+from rodjax.scenes.scene import Scene
+
+# Distances that are tried, and the least of them in diameters.
+_TRIED, _LEAST = 300, 1e-3
+
+
+class Overlap(NamedTuple):
+    """Two places of the rod that are too near to each other."""
+
+    first: float  # arc length [m]
+    second: float
+    distance: float  # of the centrelines [m]
+    held: float  # least distance at which the law holds them [m]
+    diameter: float
+
+
+def crossing_force(contact: Contact, distance, pair: PairProperties):
+    """F of strands that cross at right angles [N], positive when they repel."""
+    return 2 * jnp.pi * distance * pair_energy(contact, distance, pair)
+
+
+def least_held(contact: Contact, pair: PairProperties) -> Float[Array, "..."]:
+    """Where `crossing_force` is largest [m]; zero for a law that does not repel."""
+    dtype = pair.diameter.dtype
+    parts = jnp.linspace(0.0, 1.0, _TRIED, dtype=dtype).reshape(-1, *[1] * pair.diameter.ndim)
+    low = _LEAST * pair.diameter[None]
+    tried = low * (contact.cutoff.astype(dtype) / low) ** parts
+    force = crossing_force(contact, tried, jax.tree.map(lambda v: v[None], pair))
+    place = jnp.take_along_axis(tried, jnp.argmax(force, 0)[None], 0)[0]
+    return jnp.where(jnp.max(force, 0) > 0, place, 0.0)
+
+
+def distances_held(scene: Scene) -> Float[Array, " g"] | None:
+    """`least_held` of each segment of the contact [m], without derivative; None without contact.
+
+    It looks for a largest force in hundreds of distances: once a run, not once a step.
+    """
+    return None if scene.contact is None else _limits(newton.constant(scene)).held
+
+
+def too_near(
+    contact: Contact, nearby: Nearby, held: Float[Array, " g"], position: Float[Array, "nodes 3"]
+) -> Bool[Array, ""]:
+    """Whether strands, of the pairs found near, are nearer than the contact can hold them."""
+    contact, nearby, position = newton.constant((contact, nearby, position))
+    where, near = nearby
+
+    def some(position):
+        joints = interpolate(where, position)
+        places = _between(jnp, joints, near.first, near.second, where, contact)
+        valid = jnp.arange(near.first.shape[0], dtype=jnp.int32) < near.count
+        limit = 0.5 * (held[near.first] + held[near.second])
+        near_by = valid & (places.along >= contact.excluded) & (places.distance < limit)
+        return jnp.any(near_by)
+
+    return only_where(near.count > 0, some, lambda _: jnp.asarray(False), position)
+
+
+class _Between(NamedTuple):
+    """Where pairs of segments are nearest to each other."""
+
+    first: Array  # arc length [m]
+    second: Array
+    along: Array  # distance along the rod [m]
+    distance: Array  # of the centrelines [m]
+
+
+def _between(xp, joints, a, b, where: Sites, contact: Contact) -> _Between:
+    """Of the segments a and b, by numpy or jax.numpy."""
+    length = where.spacing * contact.points_per_segment
+    u, v, distance = _closest(xp, *(x for i in (a, b) for x in (joints[i], joints[i + 1])))
+    first, second = (a.astype(u.dtype) + u) * length, (b.astype(v.dtype) + v) * length
+    return _Between(first, second, along(where, first, second, xp), distance)
+
+
+class _Limits(NamedTuple):
+    where: Sites
+    held: Float[Array, " g"]  # of each segment
+    excluded: Float[Array, ""]
+
+
+@compiled
+def _limits(scene: Scene) -> _Limits:
+    contact = scene.contact
+    assert contact is not None
+    where = sites(contact, scene.rod, scene.closed)
+    middle = lambda v: v[:, v.shape[1] // 2]
+    mass = None if where.mass is None else middle(where.mass)
+    held = least_held(contact, PairProperties(middle(where.diameter), mass))
+    return _Limits(where, held, contact.excluded)
+
+
+def deepest(scene: Scene, position) -> Overlap | None:
+    """Where strands of a configuration are too near, most of all; None if nowhere (not traced)."""
+    contact = scene.contact
+    if contact is None or not np.all(np.isfinite(np.asarray(position))):
+        return None
+    where, held, excluded = jax.tree.map(np.asarray, _limits(scene))
+    joints = np.einsum("jk,jkc->jc", where.weight, np.asarray(position)[where.nodes])
+    middles = 0.5 * (joints[1:] + joints[:-1])
+    reach = np.max(held) + np.sqrt(np.max(np.sum(np.diff(joints, axis=0) ** 2, 1)))
+    a, b = KDTree(middles).query_pairs(reach, output_type="ndarray").T
+    found = _between(np, joints, a, b, where, contact)
+    limit = 0.5 * (held[a] + held[b])
+    near = (found.distance < limit) & (found.along >= excluded)
+    if not np.any(near):
+        return None
+    i = np.argmin(np.where(near, found.distance / np.where(limit > 0, limit, 1.0), np.inf))
+    diameter = np.mean(where.diameter[[a[i], b[i]]])
+    return Overlap(*map(float, (found.first[i], found.second[i], found.distance[i], limit[i],
+                                diameter)))  # fmt: skip
+
+
+def _closest(xp, p, to_p, q, to_q):
+    """Where the segments from p and q are nearest, as parts of them, and their distance."""
+    d, e, r = to_p - p, to_q - q, p - q
+    dot = lambda x, y: xp.sum(x * y, 1)
+    dd, de, ee = dot(d, d), dot(d, e), dot(e, e)
+    determinant = dd * ee - de**2
+    skew = determinant > 1e-12 * dd * ee
+    u = xp.where(skew, de * dot(e, r) - ee * dot(d, r), 0.0) / xp.where(skew, determinant, 1.0)
+    v = (de * xp.clip(u, 0.0, 1.0) + dot(e, r)) / ee
+    v = xp.clip(v, 0.0, 1.0)
+    u = xp.clip((de * v - dot(d, r)) / dd, 0.0, 1.0)
+    return u, v, xp.sqrt(xp.sum((r + u[:, None] * d - v[:, None] * e) ** 2, 1))
+
+
+def _known(scene: Scene, state: State) -> bool:
+    leaves = jax.tree.leaves((scene.contact, scene.rod, state.position))
+    return not any(isinstance(leaf, jax.core.Tracer) for leaf in leaves)
+
+
+def overcome(scene: Scene, state: State) -> bool:
+    """Whether strands are nearer than the contact can hold them; no in traced code."""
+    if scene.contact is None or not _known(scene, state):
+        return False
+    return deepest(scene, state.position) is not None
+
+
+def check_apart(scene: Scene, state: State) -> None:
+    """Raise ValueError if strands start nearer than the contact can hold them, unless traced."""
+    if scene.contact is None or not _known(scene, state):
+        return
+    scene.contact.check(scene.rod)
+    where = deepest(scene, state.position)
+    if where is None:
+        return
+    raise ValueError(
+        f"position: the strands at s = {where.first:.4g} and {where.second:.4g} are"
+        f" {where.distance:.3g} apart ({where.distance / where.diameter:.2g} diameters), and the"
+        f" contact law holds strands that cross no nearer than {where.held:.3g}; start them apart,"
+        " or do without contact"
+    )

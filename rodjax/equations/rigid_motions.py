@@ -1,0 +1,142 @@
+"""Whether a rod at rest is held: what its ends leave free to move as a rigid body.
+
+Where neither end holds the spin of the rod about itself (a cable between pins, or hung from one),
+every cross-section may turn about the tangent together with all others: in a naturally straight
+rod of equal bending stiffnesses nothing tells such configurations apart.
+"""
+
+from typing import NamedTuple
+
+import jax
+import jax.core
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from rodjax.equations.statics import at_rest
+from rodjax.interactions.loads import DistributedLoad, total_wrench
+from rodjax.numerics import rotations
+from rodjax.rods.state import State
+from rodjax.scenes.scene import Scene, projectors
+
+
+class Hold(NamedTuple):
+    """What holds a rod besides its ends (not in traced code)."""
+
+    loads: bool = False  # they hold rigid motions that the ends leave free
+    spin: bool = False  # nothing but a convention holds the spin about itself
+
+
+def check_held(
+    scene: Scene, state: State, time: Float[Array, ""] | None = None, spin_free: bool = False
+) -> Hold:
+    """Raise ValueError if ends and loads (those at `time`) leave the rod free as a rigid body.
+
+    A rod held in part passes if a `DistributedLoad` might hold the rest. Skipped for traced values.
+
+    Args:
+        spin_free: whether the spin of the rod about itself may stay free.
+    """
+    # known values stay known also inside a transformation without jit
+    with jax.ensure_compile_time_eval():
+        both = projectors(scene, state.time)
+        if isinstance(both, jax.core.Tracer):
+            return Hold()
+        both = np.asarray(both)
+        if not np.any(both):
+            raise ValueError(
+                "first_end, last_end: a rod held at neither end has no unique equilibrium; hold one"
+                " (ends.Clamped, or ends.Pinned and ends.Slider together)"
+            )
+        spin = spin_free and not np.any(both[:, 5, 5] > 0)
+        needed = (state.position, state.quaternion, scene.rod.length)
+        if any(isinstance(value, jax.core.Tracer) for value in needed):
+            # where neither end holds the tangent, loads must
+            return Hold(loads=not np.any(both[:, (3, 4), (3, 4)] > 0), spin=spin)
+        free = _free_motions(scene, state, both, spin)
+        if len(free) == 0:
+            return Hold(spin=spin)
+        if any(isinstance(load, DistributedLoad) for load in scene.loads):
+            return Hold(loads=True, spin=spin)
+        time = state.time if time is None else time
+        if any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves((scene, time))):
+            return Hold(loads=True, spin=spin)
+        unheld = len(free) - _held_by_loads(scene, state, free, time)
+    if unheld > 0:
+        raise ValueError(
+            f"first_end, last_end: they leave {unheld} rigid motion(s) of the rod free (a swing"
+            " about a pin, a spin about two, a slide along two sliders), and the loads do not hold"
+            " them, so the equilibrium is not unique; hold the rod more"
+        )
+    return Hold(loads=True, spin=spin)
+
+
+def _free_motions(scene: Scene, state: State, both, spin: bool):
+    """Rigid motions that the ends allow: translation over the length, rotation about node 0."""
+    # by numpy: under a transformation even a known value becomes traced by a `custom_jvp`
+    length = float(np.sum(np.asarray(scene.rod.length)))
+    position, quaternion = np.asarray(state.position), np.asarray(state.quaternion)
+    rows = []
+    for index, projector in zip((0, -1), both, strict=True):
+        arm = (position[index] - position[0]) / length
+        w, v = quaternion[index, 0], quaternion[index, 1:]
+        frame = np.eye(3) + 2 * (w * _skew(v) + _skew(v) @ _skew(v))
+        translation = np.concatenate([np.eye(3), -_skew(arm)], 1)
+        rotation = np.concatenate([np.zeros((3, 3)), frame.T], 1)
+        rows.append(projector @ np.concatenate([translation, rotation]))
+        if spin and index == 0:
+            rows.append(rotation[2:])
+    _, size, motions = np.linalg.svd(np.concatenate(rows))
+    negligible = max(1e-6, 30 * float(jnp.finfo(state.position.dtype).eps))
+    return motions[int(np.sum(size > negligible)) :]
+
+
+def _skew(v):
+    return np.array([[0, -v[2], v[1]], [v[2], 0, -v[0]], [-v[1], v[0], 0]])
+
+
+def _held_by_loads(scene: Scene, state: State, free, time) -> int:
+    """How many of these rigid motions the loads resist or drive, as the rod is or turned.
+
+    What loads do in them, the generalised forces, must change with them: a pendulum's weight does.
+    """
+    if not scene.loads:
+        return 0
+    length = float(jnp.sum(scene.rod.length))
+    place = np.asarray(state.position)
+    # numpy's arrays are in double precision, what the loads are given is in the rod's
+    own = lambda array: jnp.asarray(array, state.position.dtype)
+    time = own(time)
+
+    def moved(position, quaternion, motion):
+        turn = rotations.exponential(own(motion[3:]))
+        turn = jnp.broadcast_to(turn, quaternion.shape)
+        arm = own(position - place[0])
+        position = place[0] + length * motion[:3] + np.asarray(rotations.rotate(turn, arm))
+        return position, rotations.multiply(turn, quaternion)
+
+    def work(position, quaternion):
+        motion = at_rest(time, own(position), quaternion)
+        wrench = np.asarray(total_wrench(scene.loads, scene.rod, motion))
+        spatial = np.asarray(rotations.rotate(quaternion, own(wrench[:, 3:])))
+        moment = np.cross(position - place[0], wrench[:, :3]) + spatial
+        generalised = np.concatenate([length * wrench[:, :3].sum(0), moment.sum(0)])
+        return free @ generalised, length * np.abs(wrench[:, :3]).sum() + np.abs(spatial).sum()
+
+    # so far that rounding is little of what changes, in single precision too: what no load holds
+    # changes nowhere
+    rows, largest, step = [], 0.0, 0.1
+    for swing in (np.zeros(3), np.array([0.5, 0.3, 0.2]), np.array([-0.4, 0.6, 1.1])):
+        base = moved(place, state.quaternion, np.concatenate([np.zeros(3), swing]))
+        for motion in free:
+            ahead, size = work(*moved(*base, step * motion))
+            behind, _ = work(*moved(*base, -step * motion))
+            rows.append((ahead - behind) / (2 * step))
+            largest = max(largest, size)
+    if largest == 0:
+        return 0
+    rows = np.stack(rows) / largest
+    if not np.all(np.isfinite(rows)):
+        return len(free)
+    rounding = 30 * float(jnp.finfo(state.position.dtype).eps) / step
+    return int(np.linalg.matrix_rank(rows, max(1e-5, rounding)))

@@ -1,0 +1,180 @@
+"""What a start is refused for, before anything is solved: checks of numbers outside traced code.
+
+A rod that its ends hold twice in some direction has no unique force, a spin that nothing resists
+no unique rate, and numbers too small for single precision become zero. Solved all the same, each
+gives an answer that depends on rounding, or a failure later on that blames something else.
+"""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+from jaxtyping import Array, Bool, Float
+
+from rodjax.equations.statics import at_rest, moved, static_balance
+from rodjax.inputs.validation import known
+from rodjax.interactions.loads import total_wrench
+from rodjax.numerics import rotations
+from rodjax.numerics.compilation import compiled
+from rodjax.rods.balance import constraint_tangent, scatter
+from rodjax.rods.state import State
+from rodjax.rods.strains import strains
+from rodjax.scenes.scene import Scene, projectors
+
+
+def _all_known(*trees) -> bool:
+    """Whether no value of the trees is traced."""
+    return all(known(leaf) or not hasattr(leaf, "dtype") for leaf in jax.tree.leaves(trees))
+
+
+@compiled
+def least_hold(scene: Scene, state: State) -> Float[Array, ""]:
+    """How far the directions that the ends hold are from depending on each other: 0 if they do.
+
+    Inextensibility leaves as motions the displacement of node 0 (over L), the spins of the nodes
+    and, where the rod is compliant, stretch and shear of the elements, in the norm of the integral
+    of their squares over s / L. On them the rates that the ends hold are rows; this is the least
+    singular value. Of a rod held at both ends along its chord it is the root mean square angle
+    between rod and chord, over sqrt(2): a straight inextensible rod is held twice, since to first
+    order the distance of its ends cannot change. The system for the forces has its square left.
+    """
+    rod = scene.rod
+    kinematics = strains(rod, state.position, rotations.normalize(state.quaternion))
+    shear = constraint_tangent(rod, kinematics).constraint_spin
+    total = jnp.sum(rod.length)
+    share, weight = rod.length / total, jnp.sqrt(rod.node_length / total)
+    # u_n = u_0 + sum of ds E (g - shear (dtheta_i, dtheta_i+1)), see `balance`
+    edge = -share[:, None, None] * (kinematics.frame @ shear)
+    spins = scatter(edge[:, :, :3], edge[:, :, 3:]) / weight[:, None, None]
+    eye = jnp.eye(3, dtype=spins.dtype)
+    none = jnp.zeros_like(eye)
+    last = eye + jnp.einsum("nij,nkj->ik", spins, spins)
+    if rod.compliance is not None:
+        give = share[:, None] * (rod.compliance > 0).astype(share.dtype)
+        last = last + jnp.einsum("nij,nj,nkj->ik", kinematics.frame, give, kinematics.frame)
+    # products of the rows of u_0, dtheta_0, u_n, dtheta_n
+    rows = [
+        [eye, none, eye, none],
+        [none, eye, spins[0].T, none],
+        [eye, spins[0], last, spins[-1]],
+        [none, none, spins[-1].T, eye],
+    ]
+    gram = jnp.block(rows)
+    first_end, last_end = projectors(scene, state.time)
+    held = jax.scipy.linalg.block_diag(first_end, last_end)
+    free = jnp.eye(12, dtype=held.dtype) - held
+    squares = jnp.linalg.eigvalsh(held @ gram @ held + free)
+    return jnp.sqrt(jnp.maximum(squares[0], 0.0))
+
+
+def _enough_hold(dtype) -> float:
+    """The `least_hold` that forces need in this precision."""
+    return 30 * float(jnp.finfo(dtype).eps) ** 0.5
+
+
+def held_twice(scene: Scene, state: State) -> Bool[Array, ""]:
+    """Whether the ends hold the rod twice in some direction (see `least_hold`)."""
+    least = lax.stop_gradient(least_hold(scene, state))
+    return least <= _enough_hold(least.dtype)
+
+
+def check_held_once(scene: Scene, state: State) -> None:
+    """Raise ValueError where the ends hold the rod twice in some direction (see `least_hold`)."""
+    if not _all_known(scene, state):
+        return
+    least = least_hold(scene, state)
+    if not known(least) or not float(least) <= _enough_hold(least.dtype):
+        return
+    chord = np.asarray(state.position[-1] - state.position[0], float)
+    along = ", ".join(f"{x:.3g}" for x in chord / np.linalg.norm(chord))
+    raise ValueError(
+        "first_end, last_end: they hold the rod twice in some direction, so its force there is not"
+        f" determined: inextensible and straight along ({along}), it cannot let its ends come"
+        " nearer or part. Let one end slide along the rod (Slider), give the rod axial compliance"
+        " (Section(compliance=(0, 0, 1 / EA)) or circular_section(extensible=True)), or place it"
+        f" curved, at angles to ({along}) of more than"
+        # see `least_hold`
+        f" {2**0.5 * _enough_hold(least.dtype):.2g} rad (root mean square) in {least.dtype.name}"
+    )
+
+
+def check_spin(scene: Scene, state: State) -> None:
+    """Raise ValueError where nothing resists the rod's spin about its own axis.
+
+    Without rotary inertia about it the spin of all sections alike is held by an end that takes
+    away their rotation about the tangent, by a drag or another load on it, or by bending where
+    the rod has a natural curvature or unequal stiffnesses.
+    """
+    rod = scene.rod
+    if rod.mass is None or not _all_known(scene, state):
+        return
+    if rod.rotary_inertia is not None and np.any(np.asarray(rod.rotary_inertia[:, 2]) > 0):
+        return
+    both = projectors(scene, state.time)
+    if not known(both) or np.any(np.asarray(both)[:, 5, 5] > 1e-6):
+        return
+    stiffness, drag = _spin_resistance(scene, state)
+    if abs(float(stiffness)) > 1e-9 or float(drag) > 0:
+        return
+    raise ValueError(
+        "rotary_inertia: the rod can spin about its own axis, and has neither inertia against it"
+        " (rotary_inertia=None) nor an end or a load that holds it. Give the section rotary inertia"
+        " (circular_section(rotary_inertia=True)), hold the spin at one end (Clamped, Slider, or a"
+        " hinge whose projector takes away the rotation about the tangent), or add a LinearDrag"
+        " with rotational > 0"
+    )
+
+
+@compiled
+def _spin_resistance(scene: Scene, state: State):
+    """Work of the moments on a unit spin of all sections about their tangents, over A / L; drag."""
+    rod = scene.rod
+    spin = jnp.zeros_like(state.rate).at[:, 5].set(1.0)
+    motion = at_rest(state.time, state.position, state.quaternion)
+    wrench = lambda z: static_balance(scene, moved(motion, z), state.force)[0]
+    change = jax.jvp(wrench, (jnp.zeros_like(spin),), (spin,))[1]
+    unit = jnp.mean(rod.stiffness) / jnp.sum(rod.length)
+    drag = jnp.zeros(())
+    if scene.loads:
+        rate = lambda z: -total_wrench(scene.loads, rod, motion._replace(angular_velocity=z[:, 3:]))
+        drag = jnp.sum(spin * jax.jvp(rate, (jnp.zeros_like(spin),), (spin,))[1])
+    return jnp.sum(spin * change) / unit, drag
+
+
+def check_single_precision(scene: Scene, *, moving: bool = True) -> None:
+    """Raise ValueError where a rod's numbers are too small for its precision.
+
+    The smallest are the rotary inertia of an element and, in the equations of motion (`moving`),
+    the moment unit of an element, m ds^3: in SI those of a molecule vanish in float32.
+    """
+    rod = scene.rod
+    if rod.mass is None or not _all_known(rod):
+        return
+    length = np.asarray(rod.length, float)
+    numbers = {}
+    if rod.rotary_inertia is not None:
+        inertia = np.asarray(rod.rotary_inertia, float) * length[:, None]
+        numbers["rotary_inertia: of an element"] = inertia[inertia > 0]
+    if moving:
+        numbers["mass: with the length of an element, m ds^3"] = np.asarray(rod.mass) * length**3
+    kind = rod.position.dtype
+    for name, values in numbers.items():
+        least = np.min(values, initial=np.inf)
+        # sums and halves of it must not be lost either
+        if least < 1e3 * float(jnp.finfo(kind).tiny):
+            raise ValueError(
+                f"{name} it is {least:.2g}, too small for {kind.name}: in single precision it"
+                " becomes zero. Take units near the rod's own size (nm, pN, and so on, see Units),"
+                " or double precision (jax.config.update('jax_enable_x64', True))"
+            )
+
+
+def check_size(name: str, array) -> None:
+    """Raise ValueError where squares of squares of the values overflow (outside traced code)."""
+    if not known(array):
+        return
+    largest, limit = float(np.max(np.abs(array))), float(jnp.finfo(array.dtype).max) ** 0.25
+    if largest > limit:
+        raise ValueError(f"{name}: must be smaller than {limit:.0e}, got {largest:.3g}")
+    if name == "quaternion" and not np.all(np.linalg.norm(array, axis=1) > 1e-3):
+        raise ValueError("quaternion: must have unit length at every node, got one of no length")

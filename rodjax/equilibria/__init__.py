@@ -1,0 +1,1 @@
+"""Rods at rest: load paths, unstable modes, stability, vibration."""

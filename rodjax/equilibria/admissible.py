@@ -1,0 +1,174 @@
+"""Stiffness, mass and damping on the motions that constraint and ends allow.
+
+Admissible motions are parametrised by the displacement of node 0, the spins of the nodes and, in
+a compliant rod, the variations g of the elements' stretch and shear:
+
+    u_{i+1} = u_i + ds E (g - gamma x d theta_e)        (see `balance`),
+
+which solves the constraint exactly; the ends' conditions are linear in the parameters y and are
+projected out by who uses them. K = d(internal - external wrench) on these motions is, where all
+loads have a potential and the state is an equilibrium, the second variation of the energy (plus
+the compliance's ds g^2 / compliance), and symmetric.
+
+Everything is without unit: lengths over the rod's L, stiffness over A/L with the mean bending
+stiffness A, mass over m L^3 with the mean mass per length m, times over sqrt(m L^4/A). So numbers
+of any size, those of a molecule in SI, stay within single precision.
+"""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Complex, Float
+
+from rodjax.equations.statics import at_rest, moved, static_balance
+from rodjax.interactions.loads import total_wrench
+from rodjax.numerics.eigenvalues import far_above
+from rodjax.rods import balance
+from rodjax.rods.inertia import inertial_wrench, node_jacobian
+from rodjax.rods.rod import Rod
+from rodjax.rods.state import State
+from rodjax.rods.strains import strains
+from rodjax.scenes.scene import Scene, projectors
+
+
+class Admissible(NamedTuple):
+    """The motions and the tangent on them, before the ends are projected out (see the module)."""
+
+    basis: Float[Array, "m nodes 6"]  # displacement over L and body spin, for each parameter
+    stiffness: Float[Array, "m m"]
+    norm: Float[Array, " m"]  # weights of the rotational norm (diagonal)
+    ends: Float[Array, "12 m"]  # rows that must vanish
+
+    def on_motions(self, nodes: Float[Array, "nodes 6 6"]) -> Float[Array, "m m"]:
+        """A matrix of the nodes on the motions."""
+        m = self.basis.shape[0]
+        pushed = jnp.einsum("nij,mnj->mni", nodes, self.basis)
+        return self.basis.reshape(m, -1) @ pushed.reshape(m, -1).T
+
+    def motion(self, scene: Scene, y: Complex[Array, "k m"]) -> Complex[Array, "k nodes 6"]:
+        """Displacements [m] and body spins [rad] for parameters."""
+        basis = self.basis * _units(scene)[None, None]
+        return jnp.einsum("km,mni->kni", y, basis.astype(y.dtype))
+
+
+def _units(scene: Scene) -> Float[Array, "6"]:
+    """L for displacements, 1 for rotations."""
+    length = jnp.sum(scene.rod.length)
+    return jnp.repeat(jnp.stack([length, jnp.ones_like(length)]), 3)
+
+
+def mean_bending(scene: Scene) -> Float[Array, ""]:
+    """A [N m^2], the unit of stiffness times L."""
+    return jnp.mean(scene.rod.stiffness[:, :2])
+
+
+def rate_of(scene: Scene) -> Float[Array, ""]:
+    """The unit of frequencies, sqrt(A/m)/L^2 [1/s]; for a rod without mass with m = 1."""
+    length = jnp.sum(scene.rod.length)
+    mass = 1.0 if scene.rod.mass is None else total_mass(scene.rod) / length
+    return jnp.sqrt(mean_bending(scene) / mass) / length**2
+
+
+def total_mass(rod: Rod) -> Float[Array, ""]:
+    """Mass of the rod, which must have one [kg]."""
+    assert rod.mass is not None
+    return jnp.sum(rod.mass * rod.length)
+
+
+def allowed(
+    rod: Rod, position: Float[Array, "nodes 3"], quaternion: Float[Array, "nodes 4"]
+) -> Float[Array, "m nodes 6"]:
+    """The motions that the constraint allows: displacement over L and body spin of the nodes."""
+    n, dtype = rod.elements, position.dtype
+    kinematics = strains(rod, position, quaternion)
+    shear = balance.constraint_tangent(rod, kinematics).constraint_spin  # gamma x d theta_e
+    length = jnp.sum(rod.length)
+    give = None if rod.compliance is None else (rod.compliance > 0).astype(dtype)
+
+    def expand(y):
+        """Motion of the nodes for the parameters y = (u_0 / L, spins, g)."""
+        spins = y[3 : 3 * n + 6].reshape(n + 1, 3)
+        stretch = -jnp.einsum("nij,nj->ni", shear, jnp.concatenate([spins[:-1], spins[1:]], 1))
+        if give is not None:
+            stretch = stretch + give * y[3 * n + 6 :].reshape(n, 3)
+        edge = (rod.length / length)[:, None]
+        edge = edge * jnp.einsum("nij,nj->ni", kinematics.frame, stretch)
+        first = y[None, :3]
+        return jnp.concatenate(
+            [first + jnp.cumsum(jnp.concatenate([0 * first, edge]), 0), spins], 1
+        )
+
+    parameters = 3 + 3 * (n + 1) + (0 if give is None else 3 * n)
+    return jax.vmap(expand)(jnp.eye(parameters, dtype=dtype))
+
+
+def constrained(
+    scene: Scene,
+    time: Float[Array, ""],
+    basis: Float[Array, "m nodes 6"],
+    stiffness: Float[Array, "m m"],
+) -> Admissible:
+    """Allowed motions with the tangent of the balances on them, the compliance's springs added."""
+    rod, compliance = scene.rod, scene.rod.compliance
+    length = jnp.sum(rod.length)
+    norm = jnp.repeat(rod.node_length / length, 3)
+    norm = jnp.concatenate([jnp.zeros((3,), norm.dtype), norm])
+    if compliance is not None:
+        # components without compliance stay put: a spring far stiffer than all else holds them
+        ds = jnp.repeat(rod.length / length, 3)
+        stiff = far_above(stiffness) * ds
+        force = mean_bending(scene) / length**2
+        spring = ds / jnp.where(compliance > 0, compliance * force, 1.0).ravel()
+        spring = jnp.where((compliance > 0).ravel(), spring, stiff)
+        stiffness = stiffness + jnp.diag(jnp.concatenate([jnp.zeros_like(norm), spring]))
+        norm = jnp.concatenate([norm, ds])
+    first, last = projectors(scene, time)
+    held = [p @ basis[:, i].T for p, i in ((first, 0), (last, -1))]
+    return Admissible(basis, stiffness, norm, jnp.concatenate(held))
+
+
+def admissible(scene: Scene, state: State) -> Admissible:
+    """The motions that the constraint allows at a state, and the tangent on them."""
+    basis = allowed(scene.rod, state.position, state.quaternion)
+    motion = at_rest(state.time, state.position, state.quaternion)
+    units, energy = _units(scene)[None], mean_bending(scene) / jnp.sum(scene.rod.length)
+
+    def work(z):
+        """The imbalance, as work over A/L on a displacement of L or a spin of 1."""
+        return static_balance(scene, moved(motion, units * z), state.force)[0] * (units / energy)
+
+    push = lambda z: jax.jvp(work, (jnp.zeros_like(z),), (z,))[1]
+    stiffness = basis.reshape(len(basis), -1) @ jax.vmap(push)(basis).reshape(len(basis), -1).T
+    return constrained(scene, state.time, basis, stiffness)
+
+
+def mass_matrix(scene: Scene, state: State, motions: Admissible) -> Float[Array, "m m"]:
+    """Mass of the nodes, with rotary inertia if the rod has it and with added mass."""
+    motion = at_rest(state.time, state.position, state.quaternion)
+    zero = jnp.zeros_like(state.rate)
+    matrix = node_jacobian(lambda rate: inertial_wrench(scene, motion, rate), zero)
+    return motions.on_motions(_scaled(matrix / total_mass(scene.rod), scene))
+
+
+def damping_matrix(scene: Scene, state: State, motions: Admissible) -> Float[Array, "m m"]:
+    """Minus the derivative of the loads by the velocities, at rest."""
+    motion = at_rest(state.time, state.position, state.quaternion)
+    zero = jnp.zeros_like(state.rate)
+    if not scene.loads:
+        return jnp.zeros_like(motions.stiffness)
+
+    def wrench(rate):
+        moving = motion._replace(velocity=rate[:, :3], angular_velocity=rate[:, 3:])
+        return -total_wrench(scene.loads, scene.rod, moving)
+
+    # over A T / L^3, before the lengths of the motions are put in
+    unit = mean_bending(scene) / jnp.sum(scene.rod.length) ** 2 / jnp.sum(scene.rod.length)
+    matrix = node_jacobian(wrench, zero) * (rate_of(scene) / unit)
+    return motions.on_motions(_scaled(matrix, scene))
+
+
+def _scaled(matrix: Float[Array, "nodes 6 6"], scene: Scene) -> Float[Array, "nodes 6 6"]:
+    """Rows and columns of spins over L."""
+    over = _units(scene) / jnp.sum(scene.rod.length)
+    return over[None, :, None] * matrix * over[None, None]

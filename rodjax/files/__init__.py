@@ -1,0 +1,1 @@
+"""Runs and sweeps in files, and in pictures, with their units."""

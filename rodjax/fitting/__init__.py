@@ -1,0 +1,1 @@
+"""Parameters of scenes from what was observed."""

@@ -1,0 +1,1 @@
+"""What people give: numbers, functions and schedules, checked once."""

@@ -1,0 +1,330 @@
+"""Self-contact: its parameters, and how the rod is divided for it.
+
+For contact the rod is a chain of equal segments of its own, whatever the grid: their joints move
+with the nodes beside them, and each segment carries a few quadrature points. `screening` finds
+the segments near each other, `contact_forces` sums the law over the points of such pairs.
+"""
+
+import dataclasses
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.core
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+from jaxtyping import Array, Bool, Float, Int
+
+from rodjax.inputs.argument_types import Number
+from rodjax.inputs.validation import (
+    as_float,
+    as_float_or_none,
+    check_instance,
+    check_integer,
+    check_positive,
+    check_scalar,
+    given,
+    known,
+)
+from rodjax.interactions.contact_checks import check_law
+from rodjax.interactions.contact_laws import AbstractLaw, Penalty
+from rodjax.rods.rod import Rod
+
+
+class Contact(eqx.Module):
+    """Which parts of the rod interact, and by what law.
+
+    Args:
+        law: the pair interaction.
+        segments: number of equal segments the rod is divided into for contact. They set the cost,
+            which does not grow with the grid; chords of the grid's own length are a good choice.
+        cutoff: no force beyond this distance of the centrelines [m].
+        points_per_segment: quadrature points of a segment. Their spacing h must resolve the law:
+            for a force ripple under 2 %, h <= d/3 and h <= sqrt(2 d w)/2, with d the settled
+            distance and w = |psi/psi'| there.
+        aperture: screening aperture theta [rad] (Fig. 4): a pair acts if the line between the
+            points lies within theta/2 of either cross-section plane. 0 is the plane, pi all
+            space. The force fades smoothly from the plane to the aperture's edge. Default: the
+            law's (`AbstractLaw.default_aperture`), which is all space but for Eq. (13).
+        edge: the force fades to the cut-off over this last part of the distance, unless the law
+            vanishes by itself before (`AbstractLaw.extent`).
+        exclusion: points closer than this along the rod never interact [m]; default 1.5 cutoff.
+            Must not be less than the cut-off, or a straight rod would repel itself.
+        capacities: numbers of joints in contact for which a solver is compiled, increasing; the
+            smallest that fits is used at each step, and a run that outgrows the largest says so.
+            Default: 64, 128 and on by doubling up to all joints. Under `vmap` give one.
+        pairs_per_segment: capacity of the list of near pairs, per joint of `capacities`. Default:
+            what two strands side by side need, by the rod of the scene; 4 where its length or the
+            cut-off is not known, as in traced code.
+        listed: set by the scene, see `fitted`.
+    """
+
+    law: AbstractLaw
+    segments: int = eqx.field(static=True)
+    cutoff: Float[Array, ""] = eqx.field(converter=as_float)
+    points_per_segment: int = eqx.field(static=True, default=4)
+    aperture: Float[Array, ""] | None = eqx.field(converter=as_float_or_none, default=None)
+    edge: Float[Array, ""] = eqx.field(converter=as_float, default=0.25)
+    exclusion: Float[Array, ""] | None = eqx.field(converter=as_float_or_none, default=None)
+    capacities: tuple[int, ...] | None = eqx.field(static=True, default=None)
+    pairs_per_segment: int | None = eqx.field(static=True, default=None)
+    listed: int | None = eqx.field(static=True, default=None, repr=False)
+
+    def __check_init__(self):
+        check_instance(AbstractLaw, "give a law such as Penalty(stiffness)", law=self.law)
+        # what is compared or listed: segments with each other, points of pairs in blocks
+        check_integer(2, 10_000, segments=self.segments)
+        check_integer(1, 256, points_per_segment=self.points_per_segment)
+        check_integer(1, 10_000, **given(pairs_per_segment=self.pairs_per_segment))
+        numbers = given(aperture=self.aperture, exclusion=self.exclusion)
+        check_scalar(cutoff=self.cutoff, edge=self.edge, **numbers)
+        check_positive(cutoff=self.cutoff, **numbers)
+        for name, high, unit in (("aperture", np.pi, " radians"), ("edge", 1.0, "")):
+            value = getattr(self, name)
+            if known(value) and not 0 < float(value) <= high:
+                raise ValueError(f"{name}: must be in (0, {high:g}]{unit}, got {value}")
+        concrete = known(self.exclusion) and known(self.cutoff)
+        if concrete and np.any(np.asarray(self.exclusion) < np.asarray(self.cutoff)):
+            raise ValueError(
+                f"cutoff: {self.cutoff} exceeds the excluded neighbour distance"
+                f" {self.exclusion}; a straight rod would repel itself: raise `exclusion`"
+            )
+        sizes = self.capacities
+        if sizes is not None:
+            if not isinstance(sizes, tuple) or not sizes:
+                raise ValueError(f"capacities: give a tuple of numbers of joints, got {sizes!r}")
+            check_integer(2, **{f"capacities[{i}]": size for i, size in enumerate(sizes)})
+            if list(sizes) != sorted(set(sizes)):
+                raise ValueError(f"capacities: must increase, got {sizes}")
+        joints = min(self.sizes[-1], self.segments + 1)
+        pairs = (self.pairs_per_segment or 1) * joints
+        if pairs > 1_000_000:
+            raise ValueError(
+                f"pairs_per_segment: lists of {pairs} pairs are too long;"
+                " leave it out, and what two strands side by side need is taken"
+            )
+
+    @classmethod
+    def solid(
+        cls,
+        rod: Rod,
+        force: Number | Float[Array, ""],
+        *,
+        indentation: float = 0.05,
+        relaxation: Number | Float[Array, ""] = 0.0,
+    ) -> "Contact":
+        """Contact of solid strands of the rod's diameter D, from the load that it must carry.
+
+        Args:
+            rod: with a diameter; its length and diameters must be known (not traced).
+            force: largest force expected between two strands [N].
+            indentation: how far strands that cross at right angles under this force come into each
+                other [D], at most 0.2. Less is stiffer, and asks for more points.
+            relaxation: damping of the contact, see `Penalty` [s].
+
+        The law is a `Penalty` whose stiffness k follows from the force F between crossing strands
+        at d = (1 - indentation) D: with the energy k depth^3/(6 softness D) of its soft beginning,
+        softness = indentation, F = 2 pi d k (indentation D)^2/6. Of a taper the thinnest part
+        counts. Strands that cross at another angle give way less, a tip that presses on a strand
+        somewhat more. They are overcome, which a run reports as CONTACT_OVERCOME, by 0.4 k D^3 or
+        so: 170 times the force at 0.05, 45 at 0.1. Side by side they carry about 3 F/D per length.
+
+        Points lie sqrt(depth d)/2 apart, where the ripple of the force is under 2 %, eight or more
+        to a segment. The cut-off, 1.1 D, does not touch the law, which acts in all space.
+
+        Raises:
+            ValueError: an argument is out of its range, or the rod is so long and thin that more
+                than 1,500 segments of 256 points would be needed.
+        """
+        if rod.diameter is None:
+            raise ValueError("diameter: contact needs the rod's diameter; give it to the section")
+        if not (known(rod.length) and known(rod.diameter)):
+            raise ValueError(
+                "rod: the points follow from its length and diameter, which must be known; make the"
+                " contact outside jit and vmap"
+            )
+        check_positive(force=as_float(force))
+        if not (isinstance(indentation, int | float) and 0 < indentation <= 0.2):
+            raise ValueError(f"indentation: must be in (0, 0.2] diameters, got {indentation}")
+        thin, thick = np.min(np.asarray(rod.diameter)), np.max(np.asarray(rod.diameter))
+        length = float(np.sum(np.asarray(rod.length)))
+        spacing = 0.5 * np.sqrt(indentation * (1 - indentation)) * float(thin)
+        segments = int(np.clip(np.ceil(length / (8 * spacing)), 2, 1500))
+        points = int(np.ceil(length / segments / spacing))
+        if points > 256:
+            raise ValueError(
+                f"rod: its {length / thin:.3g} diameters are too many for points {spacing:.3g}"
+                " apart; allow more indentation, or set up a `Contact` of your own"
+            )
+        size = np.pi * (1 - indentation) * indentation**2 * float(thin) ** 3
+        law = Penalty(3 * as_float(force) / size, softness=indentation, relaxation=relaxation)
+        return cls(law, segments, 1.1 * float(thick), points_per_segment=points)
+
+    def check(self, rod: Rod) -> None:
+        """Raise ValueError where the rod lacks what contact needs."""
+        if rod.diameter is None:
+            raise ValueError("diameter: contact needs the rod's diameter; give it to the section")
+        if self.law.uses_mass() and rod.mass is None:
+            raise ValueError("mass: this contact law scales with the rod's mass per length")
+        check_law(self.law, self.cutoff, rod)
+        length = jnp.sum(rod.length)
+        reach = self.excluded
+        if any(isinstance(x, jax.core.Tracer) for x in (length, reach)):
+            return
+        reach, length = np.asarray(reach), np.asarray(length)
+        if np.any(reach >= length):
+            name = "cutoff" if self.exclusion is None else "exclusion"
+            raise ValueError(
+                f"{name}: points within {np.max(reach):.3g} of each other along the rod never"
+                f" interact, which is all of its length {np.min(length):.3g}; give less, about the"
+                " distance at which the law has faded"
+            )
+        needed = self._partners(rod)
+        if self.pairs_per_segment is not None and needed > self.pairs_per_segment:
+            raise ValueError(
+                f"pairs_per_segment: {self.pairs_per_segment} cannot hold the pairs within the"
+                f" cut-off; raise it to {needed} (or leave it out), or use fewer segments or a"
+                " smaller cut-off"
+            )
+
+    def fitted(self, rod: Rod) -> "Contact":
+        """The contact with room for the near pairs of its rod (`listed`), where that is known.
+
+        `Scene` sees to it. Less room than is needed shows as `CAPACITY_OVERFLOW`.
+        """
+        known_parts = known(rod.length) and all(
+            x is None or known(x) for x in (self.cutoff, self.aperture)
+        )
+        listed = max(4, self._partners(rod)) if known_parts else self.listed
+        return dataclasses.replace(self, listed=listed)
+
+    def _partners(self, rod: Rod) -> int:
+        """Partners of a joint on one strand beside it, at the worst distance, each pair once."""
+        length = np.max(np.sum(np.asarray(rod.length), -1)) / self.segments
+        reach = np.asarray(self.cutoff)
+        if self.acting_aperture is None:
+            # also those of which only some points are within reach, or come there in the step
+            partners = np.max(reach) / length + 3
+        else:
+            partners = np.max(reach * np.sin(0.5 * np.asarray(self.acting_aperture))) / length + 1
+        return int(min(np.ceil(partners), self.segments)) if np.isfinite(partners) else 1
+
+    @property
+    def acting_aperture(self) -> Float[Array, ""] | float | None:
+        """The aperture in use [rad]; None: all space."""
+        return self.law.default_aperture() if self.aperture is None else self.aperture
+
+    @property
+    def room(self) -> int:
+        """Near pairs that the list holds, per joint of `capacities`."""
+        return self.pairs_per_segment or self.listed or 4
+
+    @property
+    def excluded(self) -> Float[Array, ""]:
+        """Arc distance below which points never interact."""
+        return 1.5 * self.cutoff if self.exclusion is None else self.exclusion
+
+    @property
+    def sizes(self) -> tuple[int, ...]:
+        """Numbers of joints for which a solver is compiled."""
+        joints = self.segments + 1
+        if self.capacities is not None:
+            return tuple(sorted({min(size, joints) for size in self.capacities}))
+        sizes = [64]
+        while sizes[-1] < joints:
+            sizes.append(2 * sizes[-1])
+        # each size costs compile time: none that nearly is all joints
+        return (*[size for size in sizes if size < 0.7 * joints], joints)
+
+
+class Level(NamedTuple):
+    """What a solver of Newton's system is compiled for. Static numbers."""
+
+    joints: int  # in contact, at most
+    pairs: int  # of segments in the list
+    nodes: int | None  # between which the joints lie; None: of no use, joints are fewer
+
+
+def levels(contact: Contact, elements: int) -> tuple[Level, ...]:
+    """The sizes of `Contact` on a grid.
+
+    Contact couples the joints that it touches, or the nodes between which these lie, whichever
+    are fewer. Of nodes a stretch of joints has its share of the grid and up to four more.
+    """
+    finer = contact.segments > elements
+
+    def level(joints):
+        share = -(-joints * elements // contact.segments) + 16
+        nodes = min(elements + 1, share) if finer else None
+        return Level(joints, contact.room * joints, nodes)
+
+    return tuple(map(level, contact.sizes))
+
+
+class Sites(NamedTuple):
+    """Where joints and points lie on the grid."""
+
+    nodes: Int[Array, "j k"]  # between which a joint is interpolated, k = 4 or all of them
+    weight: Float[Array, "j k"]  # of each
+    arc_length: Float[Array, "g p"]  # of the points of every segment
+    spacing: Float[Array, ""]  # of the points
+    diameter: Float[Array, "g p"]
+    mass: Float[Array, "g p"] | None
+    around: Float[Array, ""] | None = None  # length of a closed rod, infinite if it is open
+
+
+def sites(contact: Contact, rod: Rod, closed: bool | Bool[Array, ""] = False) -> Sites:
+    """Joints at equal arcs, points at the middles of equal parts of every segment.
+
+    Of a `closed` rod, whose ends are at one place, the shorter way counts (`Scene.closed`).
+    Joints lie on the cubic through the four nodes nearest to them: on the elements' chords they
+    would be off by kappa l^2/8, which in a tight loop is as much as a strand gives way.
+    """
+    total = jnp.sum(rod.length)
+    spacing = total / (contact.segments * contact.points_per_segment)
+    nodes = rod.arc_length
+
+    def element(s):
+        # comparing with all nodes compiles far faster than a binary search, and is done once a step
+        place = jnp.searchsorted(nodes, s, side="right", method="compare_all")
+        return jnp.clip(place - 1, 0, rod.elements - 1)
+
+    joints = total / contact.segments * jnp.arange(contact.segments + 1, dtype=total.dtype)
+    stencil = min(4, rod.elements + 1)
+    first = jnp.clip(element(joints) - 1, 0, rod.elements + 1 - stencil)
+    chosen = first[:, None] + jnp.arange(stencil, dtype=first.dtype)[None]
+    index = jnp.arange(contact.segments * contact.points_per_segment, dtype=total.dtype)
+    s = ((index + 0.5) * spacing).reshape(contact.segments, contact.points_per_segment)
+    at = element(s)
+    mass = None if rod.mass is None else rod.mass[at]
+    assert rod.diameter is not None
+    weight = _lagrange(nodes[chosen], joints[:, None])
+    around = None
+    if closed is not False:
+        around = lax.stop_gradient(jnp.where(closed, total, jnp.inf))
+    return Sites(chosen, weight, s, spacing, rod.diameter[at], mass, around)
+
+
+def along(where: Sites, a, b, xp=jnp):
+    """Distance along the rod between places on it [m], by numpy or jax.numpy."""
+    direct = xp.abs(b - a)
+    return direct if where.around is None else xp.minimum(direct, where.around - direct)
+
+
+def _lagrange(nodes: Float[Array, "j k"], s: Float[Array, "j 1"]) -> Float[Array, "j k"]:
+    """Weights at s of the values at the nodes, for the polynomial through them."""
+    own = jnp.eye(nodes.shape[1], dtype=bool)
+    apart = jnp.where(own, 1.0, nodes[:, :, None] - nodes[:, None, :])
+    return jnp.prod(jnp.where(own, 1.0, (s - nodes)[:, None, :] / apart), 2)
+
+
+def interpolate(where: Sites, nodal: Float[Array, "nodes c"]) -> Float[Array, "j c"]:
+    """Values at the joints."""
+    return jnp.sum(where.weight[:, :, None] * nodal[where.nodes], 1)
+
+
+def spread(where: Sites, values: Float[Array, "j c"], nodes: int) -> Float[Array, "nodes c"]:
+    """The transpose of `interpolate`: forces on joints to forces on nodes."""
+    out = jnp.zeros((nodes, values.shape[1]), values.dtype)
+    return out.at[where.nodes].add(where.weight[:, :, None] * values[:, None, :])

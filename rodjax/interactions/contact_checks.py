@@ -1,0 +1,76 @@
+"""Whether a contact law acts where it is meant to: looked at once, when a scene is made."""
+
+import jax
+import jax.core
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from rodjax.interactions.contact_laws import AbstractLaw, PairProperties
+from rodjax.numerics.compilation import compiled
+from rodjax.rods.rod import Rod
+
+# Distances at which a law is tried, from its smallest to the cut-off, and the one tried by itself.
+_TRIED, _ALONE = 64, 7
+
+
+def check_law(law: AbstractLaw, cutoff: Float[Array, ""], rod: Rod) -> None:
+    """Raise ValueError where the law does nothing below the cut-off, or no numbers come of it.
+
+    Values that are not known are not looked at.
+    """
+    leaves = jax.tree.leaves((law, cutoff, rod.diameter, rod.mass))
+    if any(isinstance(leaf, jax.core.Tracer) for leaf in leaves) or np.ndim(cutoff) != 0:
+        return
+    of_both = lambda v: jnp.asarray([np.min(v), np.max(v)], rod.position.dtype)
+    with jax.ensure_compile_time_eval():
+        mass = None if rod.mass is None else of_both(np.asarray(rod.mass))
+        pair = PairProperties(of_both(np.asarray(rod.diameter)), mass)
+        psi, alone, tried, smallest, extent = _try(law, cutoff, pair)
+    limit = float(cutoff)
+    if extent is not None and limit <= np.max(extent):
+        raise ValueError(
+            f"cutoff: {limit:.4g} is not beyond {np.max(extent):.4g}, where this law begins to"
+            f" act: strands would overlap without a force; give at least {1.1 * np.max(extent):.4g}"
+        )
+    if limit <= np.max(smallest):
+        raise ValueError(
+            f"cutoff: {limit:.4g} is not beyond {np.max(smallest):.4g}, the smallest distance of"
+            " this law, so that nothing of it would act"
+        )
+    if psi.shape != tried.shape:
+        raise ValueError(
+            f"law: `{type(law).__name__}.repulsion` must give one number for each distance, got"
+            f" shape {psi.shape} for {tried.shape}"
+        )
+    wrong = ~np.isfinite(np.asarray(psi))
+    if np.any(wrong):
+        raise ValueError(
+            f"law: {type(law).__name__} gives {np.asarray(psi)[wrong][0]} at a distance of"
+            f" {np.asarray(tried)[wrong][0]:.4g}; it must be finite from `smallest` to the cut-off"
+        )
+    scale, eps = np.max(np.abs(psi)), np.finfo(psi.dtype).eps
+    if not np.allclose(alone, psi[_ALONE], rtol=np.sqrt(eps), atol=eps * scale):
+        raise ValueError(
+            f"law: `{type(law).__name__}.repulsion` gives {np.asarray(alone)[0]:.6g} for a distance"
+            f" alone and {np.asarray(psi)[_ALONE][0]:.6g} for the same among others; a pair's force"
+            " must not depend on other pairs, so write it distance by distance"
+        )
+    if not np.any(np.asarray(psi) != 0):
+        raise ValueError(
+            f"law: {type(law).__name__} gives no force at any distance below the cut-off"
+            f" {limit:.4g}; check its strength and range"
+        )
+
+
+@compiled
+def _try(law, cutoff, pair):
+    smallest, extent = law.smallest(pair), law.extent(pair)
+    low = jnp.maximum(smallest, 1e-3 * pair.diameter)
+    high = cutoff if extent is None else jnp.minimum(cutoff, extent)
+    parts = jnp.linspace(0.001, 0.999, _TRIED, dtype=low.dtype)[:, None]
+    tried = low[None] + parts * (high - low)[None]
+    wide = jax.tree.map(lambda v: jnp.broadcast_to(v, tried.shape), pair)
+    among = law.repulsion(tried, jnp.zeros_like(tried), wide)
+    alone = law.repulsion(tried[_ALONE], jnp.zeros_like(tried[_ALONE]), pair)
+    return among, alone, tried, smallest, extent

@@ -1,0 +1,249 @@
+"""Search for segments near each other, and what keeps strands from passing through each other.
+
+The search runs once a step, on the motion predicted for it; its list of pairs is then held, so
+that Newton's equations are smooth.
+"""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+from jax import lax
+from jaxtyping import Array, Bool, Float, Int
+
+from rodjax.interactions.contact import Contact, Sites, along, interpolate, levels
+from rodjax.interactions.contact_laws import PairProperties
+from rodjax.numerics import newton
+from rodjax.numerics.batching import largest, only_where
+
+BLOCK = 32  # pairs that are evaluated together
+
+
+class Near(NamedTuple):
+    """Outcome of the search: pairs of segments, the joints they involve and these joints' nodes."""
+
+    first: Int[Array, " q"]  # segment nearer to s = 0; beyond `count` meaningless but valid
+    second: Int[Array, " q"]
+    count: Int[Array, ""]  # pairs in the list
+    order: Int[Array, " j"]  # all joints, those involved first
+    rank: Int[Array, " j"]  # place of each joint in `order`
+    nodes: Int[Array, " nodes"] | None  # all, those between which such joints lie first; if needed
+    level: Int[Array, ""]  # 0: no pair; k: the k-th of `contact.levels` holds them
+    overflow: Bool[Array, ""]  # pairs or joints were left out
+
+
+def _separations(x):
+    """Components of x_j - x_i for all i, j."""
+    return [x[None, :, k] - x[:, None, k] for k in range(3)]
+
+
+def _norm(components):
+    return jnp.sqrt(sum(c**2 for c in components))
+
+
+def search(
+    contact: Contact,
+    where: Sites,
+    position: Float[Array, "nodes 3"],
+    displacement: Float[Array, "nodes 3"] | None = None,
+) -> Near:
+    """Pairs of segments of which some points are within reach and inside both apertures.
+
+    `displacement` is the expected motion of the step; the reach is the cut-off plus one and a
+    half times a pair's relative displacement, so that no strand tunnels between two searches.
+    No derivative passes through.
+    """
+    contact, where, position, displacement = newton.constant(
+        (contact, where, position, displacement)
+    )
+    sizes = levels(contact, position.shape[0] - 1)
+    # a segment's points lie within this of its middle, so a pair's within twice of the line
+    half = 0.5 * where.spacing * (contact.points_per_segment - 1)
+    joints = interpolate(where, position)
+    middles = 0.5 * (joints[1:] + joints[:-1])
+    moved = None
+    if displacement is not None:
+        moved = interpolate(where, displacement)
+        moved = 0.5 * (moved[1:] + moved[:-1])
+    s = jnp.mean(where.arc_length, 1)
+    segment = jnp.arange(contact.segments)
+    once = (segment[:, None] < segment[None, :]) & (
+        along(where, s[:, None], s[None, :]) + 2 * half >= contact.excluded
+    )
+
+    def pairs():
+        """Which pairs are near, by the reach and the apertures of each."""
+        r = _separations(middles)
+        distance = _norm(r)
+        motion = 0.0 if moved is None else 1.5 * _norm(_separations(moved))
+        near = once & (distance < contact.cutoff + motion + 2 * half)
+        aperture = contact.acting_aperture
+        if aperture is None:
+            return near
+        chord = joints[1:] - joints[:-1]
+        chord = chord / jnp.sqrt(jnp.sum(chord**2, 1, keepdims=True))
+        # inside an aperture: |r.t| cos(theta/2) <= |r - (r.t) t| sin(theta/2), within the slack
+        cosine, sine = jnp.cos(0.5 * aperture), jnp.sin(0.5 * aperture)
+
+        def inside(t):
+            along = jnp.abs(sum(rk * tk for rk, tk in zip(r, t, strict=True)))
+            across = jnp.sqrt(jnp.maximum(distance**2 - along**2, 0.0))
+            return along * cosine <= across * sine + 2 * half + motion
+
+        near = near & inside([chord[:, None, k] for k in range(3)])
+        return near & inside([chord[None, :, k] for k in range(3)])
+
+    def some():
+        return _listed(pairs(), sizes, where, position.shape[0])
+
+    def none():
+        return _listed(None, sizes, where, position.shape[0])
+
+    # most steps end here: nothing within the widest reach of all
+    reach = contact.cutoff + 2 * half
+    if moved is not None:
+        reach = reach + 3.0 * jnp.sqrt(jnp.max(jnp.sum(moved**2, 1)))
+    squared = sum(c**2 for c in _separations(middles))
+    maybe = jnp.any(once & (squared < reach**2))
+    return lax.cond(largest(maybe.astype(jnp.int32)) > 0, some, none)
+
+
+def _listed(near: Bool[Array, "g g"] | None, sizes, where: Sites, nodes: int) -> Near:
+    """The list of the near pairs, or of none, and what they involve."""
+    capacity, joints = sizes[-1].pairs, where.weight.shape[0]
+    if near is None:
+        no_pair, zero = jnp.zeros((capacity,), jnp.int32), jnp.asarray(0, jnp.int32)
+        every = jnp.arange(joints, dtype=jnp.int32)
+        node = None if sizes[-1].nodes is None else jnp.arange(nodes, dtype=jnp.int32)
+        return Near(no_pair, no_pair, zero, every, every, node, zero, jnp.asarray(False))
+    first, second = (
+        index.astype(jnp.int32) for index in jnp.nonzero(near, size=capacity, fill_value=0)
+    )
+    count = jnp.sum(near).astype(jnp.int32)
+    segments = jnp.any(near, 0) | jnp.any(near, 1)
+    involved = jnp.zeros((joints,), bool).at[:-1].set(segments)
+    involved = involved | jnp.roll(involved, 1)
+    order, rank, involving = _first(involved)
+    holds = lambda numbers: jnp.asarray(numbers, jnp.int32)
+    fits = (involving <= holds([size.joints for size in sizes])) & (
+        count <= holds([size.pairs for size in sizes])
+    )
+    node = None
+    if sizes[-1].nodes is not None:
+        between = jnp.zeros((nodes,), jnp.int32).at[where.nodes]
+        touched = involved[:, None] & (where.weight != 0)
+        between = between.add(touched.astype(jnp.int32)) > 0
+        node, _, count_nodes = _first(between)
+        fits = fits & (count_nodes <= holds([size.nodes for size in sizes]))
+    overflow = ~fits[-1]
+    level = jnp.where(overflow, len(sizes), jnp.argmax(fits) + 1)
+    level = jnp.where(count == 0, 0, level).astype(jnp.int32)
+    return Near(first, second, jnp.minimum(count, capacity), order, rank, node, level, overflow)
+
+
+def _first(chosen: Bool[Array, " k"]) -> tuple[Int[Array, " k"], Int[Array, " k"], Int[Array, ""]]:
+    """All indices, the chosen ones first; the place of each; how many are chosen."""
+    ones = chosen.astype(jnp.int32)
+    count = jnp.sum(ones, dtype=jnp.int32)
+    index = jnp.arange(chosen.shape[0], dtype=jnp.int32)
+    before = jnp.cumsum(ones, dtype=jnp.int32) - ones
+    place = jnp.where(chosen, before, count + index - before)
+    return jnp.zeros_like(place).at[place].set(index), place, count
+
+
+def approach_limit(
+    contact: Contact,
+    where: Sites,
+    near: Near,
+    position: Float[Array, "nodes 3"],
+    change: Float[Array, "nodes 3"],
+) -> Float[Array, ""]:
+    """Largest fraction of a change of position that closes no gap by more than 70 %.
+
+    The gap is counted from the law's smallest distance. Only the relative motion of near pairs
+    is bounded, so a far part of the rod moves freely. No derivative passes through.
+    """
+    x, dx = (lax.stop_gradient(interpolate(where, v)) for v in (position, change))
+    contact, where = newton.constant((contact, where))
+    diameter, excluded, arc_length = where.diameter, contact.excluded, where.arc_length
+    count = contact.points_per_segment
+    part = (jnp.arange(count, dtype=position.dtype) + 0.5) / count
+
+    def points(values, segment):
+        a, b = values[segment][:, None], values[segment + 1][:, None]
+        return a + part[None, :, None] * (b - a)
+
+    def body(i, limit):
+        at = i * BLOCK + jnp.arange(BLOCK, dtype=jnp.int32)
+        valid = at < near.count
+        first, second = near.first[at], near.second[at]
+        pair = lambda v: points(v, second)[:, None, :] - points(v, first)[:, :, None]
+        r, w = pair(x), pair(dx)
+        squared = jnp.sum(r**2, -1)
+        apart = along(where, arc_length[first][:, :, None], arc_length[second][:, None, :])
+        acts = (apart >= excluded) & valid[:, None, None] & (squared > 0)
+        distance = jnp.sqrt(jnp.where(squared > 0, squared, 1.0))
+        closing = -jnp.sum(r * w, -1) / distance
+        mean = 0.5 * (diameter[first][:, :, None] + diameter[second][:, None, :])
+        floor = contact.law.smallest(PairProperties(mean, None))
+        gap = jnp.maximum(distance - floor, 0.05 * mean)
+        ratio = 0.7 * gap / jnp.where(closing > 0, closing, 1.0)
+        return jnp.minimum(limit, jnp.min(jnp.where(acts & (closing > 0), ratio, 1.0)))
+
+    blocks = (largest(near.count) + BLOCK - 1) // BLOCK
+    return lax.fori_loop(0, blocks, body, jnp.ones((), position.dtype))
+
+
+def passage_suspected(
+    where: Sites,
+    near: Near,
+    before: Float[Array, "nodes 3"],
+    after: Float[Array, "nodes 3"],
+) -> Bool[Array, ""]:
+    """Whether two near segments crossed each other in a step.
+
+    Two chords cross when the volume of the tetrahedron of their four joints changes sign, at a
+    moment when the point common to their lines lies on both: that moment and point are found on
+    the straight ways of the joints. A slow passage is seen as well as a fast one.
+    """
+
+    def crossed(positions):
+        return jnp.any(_crossings(near, *(interpolate(where, x) for x in positions)))
+
+    where, positions = lax.stop_gradient((where, (before, after)))
+    return only_where(near.count > 0, crossed, lambda _: jnp.asarray(False), positions)
+
+
+def _crossings(near: Near, old: Float[Array, "j 3"], new: Float[Array, "j 3"]) -> Bool[Array, " q"]:
+    """Which pairs crossed while their joints moved straight from old to new."""
+    valid = jnp.arange(near.first.shape[0], dtype=jnp.int32) < near.count
+
+    def chords(x):
+        a, b = x[near.first], x[near.second]
+        return x[near.first + 1] - a, x[near.second + 1] - b, b - a
+
+    def volume(x):
+        first, second, between = chords(x)
+        return jnp.sum(jnp.cross(first, second) * between, 1)
+
+    start, end = volume(old), volume(new)
+    change = start - end
+    moment = jnp.where(change == 0, 0.0, start / jnp.where(change == 0, 1.0, change))
+    joints = lambda segment: (
+        old[segment] + moment[:, None] * (new[segment] - old[segment]),
+        old[segment + 1] + moment[:, None] * (new[segment + 1] - old[segment + 1]),
+    )
+    (a0, a1), (b0, b1) = joints(near.first), joints(near.second)
+    first, second, between = a1 - a0, b1 - b0, b0 - a0
+    dot = lambda x, y: jnp.sum(x * y, 1)
+    # parameters of the common point on the two lines, both times the determinant
+    product = dot(first, first) * dot(second, second)
+    determinant = product - dot(first, second) ** 2
+    on_first = dot(second, second) * dot(first, between) - dot(first, second) * dot(second, between)
+    on_second = dot(first, second) * dot(first, between) - dot(first, first) * dot(second, between)
+    inside = lambda u: (u >= 0) & (u <= determinant)
+    # the chords of neighbours, and those in one line as of a straight rod, have a common point by
+    # rounding only
+    askew = determinant > 1e4 * jnp.finfo(old.dtype).eps * product
+    apart = near.second - near.first > 1
+    crossed = (start * end < 0) & inside(on_first) & inside(on_second) & askew & apart
+    return crossed & valid

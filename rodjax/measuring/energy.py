@@ -1,0 +1,385 @@
+"""Energies of a state, reactions of the ends, and the energy ledger of a run.
+
+The ledger says where the work of drives and loads went:
+    W_drives + W_loads = change of (bending + torsion + axial + kinetic + gravity energy)
+                         + change of contact energy + losses of contact, drag and damping
+                         + projection losses.
+Every term is integrated for itself, none is a remainder; what the two sides differ by is the
+numerical loss of the time integration plus the error of the quadrature.
+"""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jax import lax
+from jaxtyping import Array, Float
+
+from rodjax.dynamics.run import Run
+from rodjax.equations.coupled import Nearby, find_nearby
+from rodjax.equations.step_equations import free_balance
+from rodjax.interactions import contact_forces
+from rodjax.interactions.contact_energy import contact_energy as energy_of_contact
+from rodjax.interactions.contact_energy import has_potential, stored
+from rodjax.interactions.contact_laws import PairProperties, ignores_approach
+from rodjax.interactions.loads import Gravity, LinearDrag, MorisonDrag, total_wrench
+from rodjax.numerics import rotations
+from rodjax.numerics.compilation import compiled
+from rodjax.rods import inertia
+from rodjax.rods.rod import Rod
+from rodjax.rods.state import NodeMotion, State
+from rodjax.rods.strains import curvature, strains
+from rodjax.scenes.scene import Scene, projectors
+
+
+def node_motion(state: State) -> NodeMotion:
+    """What loads see of a state."""
+    return NodeMotion(
+        state.time, state.position, state.quaternion, state.velocity, state.angular_velocity
+    )
+
+
+def _moment_energy_density(rod: Rod, state: State) -> Float[Array, "n 3"]:
+    """The three terms of Eq. (4), B diagonal."""
+    return 0.5 * rod.stiffness * (curvature(rod, state.quaternion) - rod.natural_curvature) ** 2
+
+
+def _force_energy_density(rod: Rod, state: State) -> Float[Array, "n 3"]:
+    """f . compliance f / 2 with f = (gamma - e3) / compliance; zero where nothing gives."""
+    if rod.compliance is None:
+        return jnp.zeros_like(rod.stiffness)
+    stretch = strains(rod, state.position, state.quaternion).stretch
+    gap = stretch - jnp.asarray([[0.0, 0.0, 1.0]], stretch.dtype)
+    gives = rod.compliance > 0
+    return jnp.where(gives, 0.5 * gap**2 / jnp.where(gives, rod.compliance, 1.0), 0.0)
+
+
+def strain_energy_density(rod: Rod, state: State) -> Float[Array, " n"]:
+    """Strain energy per length of the elements of a rod in this state [J/m].
+
+    Eq. (4), (kappa - kappa0)^T B (kappa - kappa0) / 2, plus that of f.
+    """
+    density = jnp.sum(_moment_energy_density(rod, state), 1)
+    return density + jnp.sum(_force_energy_density(rod, state), 1)
+
+
+def bending_energy(scene: Scene, state: State) -> Float[Array, ""]:
+    """The part of Eq. (4) in A1 and A2, over the rod of the scene in this state [J]."""
+    rod = scene.rod
+    return jnp.sum(rod.length[:, None] * _moment_energy_density(rod, state)[:, :2])
+
+
+def torsion_energy(scene: Scene, state: State) -> Float[Array, ""]:
+    """The part of Eq. (4) in C, over the rod of the scene in this state [J]."""
+    return jnp.sum(scene.rod.length * _moment_energy_density(scene.rod, state)[:, 2])
+
+
+def axial_energy(scene: Scene, state: State) -> Float[Array, ""]:
+    """Energy of stretch and shear of the scene's rod in this state [J]; zero if inextensible."""
+    return jnp.sum(scene.rod.length[:, None] * _force_energy_density(scene.rod, state))
+
+
+def kinetic_energy(scene: Scene, state: State) -> Float[Array, ""]:
+    """Eq. (6) over the scene's rod in this state, with the added mass of the loads [J]."""
+    return inertia.kinetic_energy(scene, node_motion(state))
+
+
+def gravity_energy(scene: Scene, state: State) -> Float[Array, ""]:
+    """Potential of the scene's weight less buoyancy in this state, zero at the origin [J]."""
+    energy = jnp.zeros((), state.position.dtype)
+    for load in scene.loads:
+        if isinstance(load, Gravity):
+            energy = energy - jnp.sum(load.weight(scene.rod) * state.position)
+    return energy
+
+
+def contact_energy(scene: Scene, state: State) -> Float[Array, ""]:
+    """What strands at rest have stored in the law between them [J], zero without contact.
+
+    Not a number where an aperture leaves the contact force without potential.
+    """
+    if scene.contact is None:
+        return jnp.zeros((), state.position.dtype)
+    return energy_of_contact(scene.contact, scene.rod, state.position, scene.closed)
+
+
+def contact_wrench(scene: Scene, state: State) -> Float[Array, "nodes 6"]:
+    """What the scene's contact exerts on the nodes of this state.
+
+    Columns: force, inertial (3) [N], and moment in the body frame (3) [N m].
+
+    The one place where energies and reactions meet contact.
+    """
+    if scene.contact is None:
+        return jnp.zeros_like(state.rate)
+    at = state.position, state.velocity
+    forces = contact_forces.report(scene.contact, scene.rod, *at, scene.closed).force
+    return jnp.concatenate([forces, jnp.zeros_like(forces)], 1)
+
+
+def _unbalanced_ends(
+    scene: Scene, state: State, from_contact: Float[Array, "nodes 6"] | None
+) -> Float[Array, "2 6"]:
+    """Inertia + internal - external wrench of the two end nodes: what the ends must supply."""
+    wrench, _ = free_balance(scene, node_motion(state), state.acceleration, state.force)
+    if from_contact is not None:
+        wrench = wrench - from_contact
+    return jnp.stack([wrench[0], wrench[-1]])
+
+
+class Reactions(NamedTuple):
+    """What the two ends exert on the rod, that at s = 0 first.
+
+    Attributes:
+        force: inertial components [N].
+        torque: about the end's own node, inertial components [N m].
+        body_torque: the same in the end's cross-section frame (a_1, a_2, tangent).
+    """
+
+    force: Float[Array, "2 3"]  # inertial components [N]
+    torque: Float[Array, "2 3"]  # about the end's own node, inertial components [N m]
+    body_torque: Float[Array, "2 3"]  # the same in the end's cross-section frame
+
+
+def reactions(scene: Scene, state: State) -> Reactions:
+    """Force and torque by which the constraints of the ends act on the rod at a state.
+
+    The imbalance of the end nodes in the directions that are constrained from `state.time` on;
+    zero in the free ones. Curves over a run are one line each:
+        torque about an axis:    jax.lax.map(lambda s: reactions(scene, s).torque[0] @ axis, states)
+        force along the axis:    jax.lax.map(lambda s: reactions(scene, s).force[1] @ axis, states)
+    """
+    touching = None if scene.contact is None else contact_wrench(scene, state)
+    unbalanced = _unbalanced_ends(scene, state, touching)
+    supplied = jnp.einsum("eij,ej->ei", projectors(scene, state.time), unbalanced)
+    frames = jnp.stack([state.quaternion[0], state.quaternion[-1]])
+    return Reactions(supplied[:, :3], rotations.rotate(frames, supplied[:, 3:]), supplied[:, 3:])
+
+
+class Ledger(NamedTuple):
+    """Where the energy of a run is at its saved times; work and losses count from the first.
+
+    Work is positive when it is done on the rod, except `contact_work`, which the rod does on its
+    contacts: stored there as `contact_energy` or lost. With an aperture, which leaves the forces
+    without potential, all of it counts as lost. Losses are positive when energy is lost.
+
+    Attributes:
+        time: [s]; all that follows [J].
+        drive_work: done by the prescribed motion of both ends.
+        load_work: done by all loads but gravity, drag and damping.
+        bending, torsion: stored by Eq. (4), in A1 and A2, and in C.
+        axial: stored in stretch and shear.
+        kinetic: Eq. (6), with added mass.
+        gravity: potential of the weight less buoyancy.
+        contact_work: done by the rod on its contacts: stored there or lost.
+        drag_loss: to `MorisonDrag`.
+        damping_loss: to `LinearDrag`.
+        projection_loss: kinetic energy lost where a constraint began.
+        contact_energy: stored between the strands.
+        contact_loss: to the damping of the contact law; all its work where nothing is stored.
+    """
+
+    time: Float[Array, " k"]
+    drive_work: Float[Array, " k"]  # of both ends' prescribed motion [J]
+    load_work: Float[Array, " k"]  # of all loads but gravity, drag and damping [J]
+    bending: Float[Array, " k"]
+    torsion: Float[Array, " k"]
+    axial: Float[Array, " k"]
+    kinetic: Float[Array, " k"]
+    gravity: Float[Array, " k"]
+    contact_work: Float[Array, " k"]
+    drag_loss: Float[Array, " k"]  # of MorisonDrag
+    damping_loss: Float[Array, " k"]  # of LinearDrag
+    projection_loss: Float[Array, " k"]  # kinetic energy lost where a constraint began
+    contact_energy: Float[Array, " k"] | None = None  # None: of a file of an earlier version
+    contact_loss: Float[Array, " k"] | None = None  # part of contact_work
+
+    @property
+    def work(self) -> Float[Array, " k"]:
+        """Work of drives and loads [J]."""
+        return self.drive_work + self.load_work
+
+    @property
+    def strain(self) -> Float[Array, " k"]:
+        """Strain energy [J]."""
+        return self.bending + self.torsion + self.axial
+
+    @property
+    def residual(self) -> Float[Array, " k"]:
+        """Work less everything that it is accounted to have become [J]: the numerical loss."""
+        stored = self.strain + self.kinetic + self.gravity
+        losses = self.drag_loss + self.damping_loss + self.projection_loss
+        if self.contact_energy is None or self.contact_loss is None:
+            losses = losses + self.contact_work
+        else:
+            stored, losses = stored + self.contact_energy, losses + self.contact_loss
+        return self.work - (stored - stored[0]) - losses
+
+    @property
+    def balance_error(self) -> Float[Array, ""]:
+        """Largest |residual| over the work at the end.
+
+        For a motion that nothing drives compare `residual` with an energy of the motion instead.
+        """
+        return jnp.max(jnp.abs(self.residual)) / jnp.abs(self.work[-1])
+
+
+class _Acting(NamedTuple):
+    """Wrenches that do work on the rod at one state; None where the scene has none of the kind."""
+
+    ends: Float[Array, "2 6"]
+    loads: Float[Array, "nodes 6"] | None
+    drag: Float[Array, "nodes 6"] | None
+    damping: Float[Array, "nodes 6"] | None
+    contact: Float[Array, "nodes 6"] | None
+    contact_damping: Float[Array, "nodes 6"] | None  # what of it is lost
+
+
+def _nearby(scene: Scene, state: State) -> Nearby | None:
+    """The strands near each other, searched for once for forces and energies."""
+    return None if scene.contact is None else find_nearby(scene, state.position)
+
+
+def _acting(scene: Scene, state: State, nearby: Nearby | None) -> _Acting:
+    motion = node_motion(state)
+    touching = None if nearby is None else _pushed(scene, state.position, state.velocity, nearby)
+
+    def total(chosen):
+        loads = tuple(load for load in scene.loads if chosen(load))
+        return total_wrench(loads, scene.rod, motion) if loads else None
+
+    return _Acting(
+        _unbalanced_ends(scene, state, touching),
+        total(lambda load: not isinstance(load, Gravity | MorisonDrag | LinearDrag)),
+        total(lambda load: isinstance(load, MorisonDrag)),
+        total(lambda load: isinstance(load, LinearDrag)),
+        touching,
+        None if nearby is None else _contact_damping(scene, state, touching, nearby),
+    )
+
+
+def _pushed(scene: Scene, position, velocity, nearby: Nearby) -> Float[Array, "nodes 6"]:
+    """`contact_wrench` for a list of pairs found before."""
+    assert scene.contact is not None
+    force = contact_forces.forces(scene.contact, scene.rod, *nearby, position, velocity)
+    return jnp.concatenate([force, jnp.zeros_like(force)], 1)
+
+
+def _contact_damping(scene: Scene, state: State, touching, nearby: Nearby):
+    """What contact exerts beyond its forces at rest; all of it where these have no potential."""
+    contact, where = scene.contact, nearby.where
+    assert contact is not None
+    resting = touching
+    if not ignores_approach(contact.law, PairProperties(where.diameter, where.mass)):
+        resting = _pushed(scene, state.position, jnp.zeros_like(state.velocity), nearby)
+    return touching - jnp.where(has_potential(contact), resting, 0.0)
+
+
+def _stored_in_contact(scene: Scene, state: State, nearby: Nearby | None) -> Float[Array, ""]:
+    """`contact_energy`, zero where there is no potential."""
+    if nearby is None:
+        return jnp.zeros((), state.position.dtype)
+    assert scene.contact is not None
+    energy = stored(scene.contact, *nearby, state.position)
+    return jnp.where(has_potential(scene.contact), energy, 0.0)
+
+
+def _increment(before: State, after: State) -> Float[Array, "nodes 6"]:
+    """Displacement (inertial) and rotation vector (body) of the nodes between two states.
+
+    The rotation vector has the same components in the frames before, after and halfway, so the
+    mean of body moments at either end times it is their work to second order.
+    """
+    turn = rotations.multiply(rotations.conjugate(before.quaternion), after.quaternion)
+    return jnp.concatenate([after.position - before.position, rotations.logarithm(turn)], 1)
+
+
+def _added_mass_loss(scene: Scene, before: State, after: State) -> Float[Array, ""]:
+    """-v . dM v / 2 of the added mass M.
+
+    Its force -M v' gives the fluid v . M v' = d(v . M v / 2) - v . dM v / 2 a unit of time; the
+    first part is in the kinetic energy.
+    """
+    loss = jnp.zeros((), before.position.dtype)
+    velocity = 0.5 * (before.velocity + after.velocity)
+    for load in scene.loads:
+        first = load.added_mass(scene.rod, node_motion(before))
+        second = load.added_mass(scene.rod, node_motion(after))
+        if first is not None and second is not None:
+            loss = loss - 0.5 * jnp.einsum("ni,nij,nj", velocity, second - first, velocity)
+    return loss
+
+
+@compiled
+def ledger(scene: Scene, run: Run) -> Ledger:
+    """Energy ledger of a run of the scene over its saved states.
+
+    Work between two saved states is the mean of the forces at both times the actual displacements
+    and rotations: second order in the time between them. One scan, so memory does not grow with
+    the number of states beyond that of the run. At a time at which a constraint begins the forces
+    are those before; a drive that acts in a direction from the moment that it becomes constrained
+    therefore loses half of its first interval's work. So does one whose velocity jumps: what it
+    does in the jolt is not booked (give it a `Smooth` schedule).
+    """
+    states = run.states
+
+    def energies(state, nearby):
+        parts = bending_energy, torsion_energy, axial_energy, kinetic_energy, gravity_energy
+        values = [part(scene, state) for part in parts]
+        return jnp.stack([*values, _stored_in_contact(scene, state, nearby)])
+
+    def interval(carry, after):
+        before, old = carry
+        nearby = _nearby(scene, after)
+        new = _acting(scene, after, nearby)
+        moved = _increment(before, after)
+        zero = jnp.zeros((), moved.dtype)
+
+        def work(a, b):
+            return zero if a is None else 0.5 * jnp.sum((a + b) * moved)
+
+        ends_moved = jnp.stack([moved[0], moved[-1]])
+        constrained = jnp.einsum("eij,ej->ei", projectors(scene, before.time), ends_moved)
+        gains = jnp.stack(
+            [
+                0.5 * jnp.sum((old.ends + new.ends) * constrained),
+                work(old.loads, new.loads),
+                -work(old.contact, new.contact),
+                _added_mass_loss(scene, before, after) - work(old.drag, new.drag),
+                -work(old.damping, new.damping),
+                -work(old.contact_damping, new.contact_damping),
+            ]
+        )
+        return (after, new), (gains, energies(after, nearby))
+
+    # the first interval is from the first state to itself, so what acted before does not matter
+    first = run.state(0)
+    nothing = jax.tree.map(
+        lambda leaf: jnp.zeros(leaf.shape, leaf.dtype),
+        jax.eval_shape(lambda: _acting(scene, first, _nearby(scene, first))),
+    )
+    _, (gains, energy) = lax.scan(interval, (first, nothing), states)
+    intervals = gains.shape[0] - 1
+    steps = run.infos.projection_loss
+    lost = steps.reshape(intervals, steps.shape[0] // max(intervals, 1)).sum(1)
+    lost = jnp.concatenate([jnp.zeros_like(lost[:1]), lost])
+    total = jnp.cumsum(jnp.concatenate([gains, lost[:, None]], 1), 0)
+    total = total - total[:1]
+    drive_work, load_work, contact_work, drag, damping, contact_loss, projection = total.T
+    bending, torsion, axial, kinetic, gravity, contact = energy.T
+    return Ledger(
+        states.time,
+        drive_work,
+        load_work,
+        bending,
+        torsion,
+        axial,
+        kinetic,
+        gravity,
+        contact_work,
+        drag,
+        damping,
+        projection,
+        contact,
+        contact_loss,
+    )

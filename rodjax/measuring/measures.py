@@ -1,0 +1,313 @@
+"""Measures of a state or a stored run: topology, apex, constraint error, event times."""
+
+from typing import NamedTuple
+
+import jax
+import jax.core
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+from jaxtyping import Array, Float
+
+from rodjax.constraints.ends import Turn
+from rodjax.dynamics.run import Run
+from rodjax.inputs.argument_types import AnyArray
+from rodjax.interactions import contact_forces
+from rodjax.interactions.contact_forces import ContactReport
+from rodjax.measuring import energy
+from rodjax.numerics import rotations
+from rodjax.numerics.compilation import compiled
+from rodjax.rods import balance, topology
+from rodjax.rods.rod import Rod
+from rodjax.rods.state import State
+from rodjax.rods.strains import curvature, strains
+from rodjax.rods.winding import twist, writhe, writhe_of  # noqa: F401 (public here)
+from rodjax.scenes.scene import Scene
+
+
+def twist_eq15(rod: Rod, state: State) -> Float[Array, ""]:
+    """The paper's twist, Eq. (15), of a rod in a state [turns]; `twist` to second order in ds."""
+    return topology.twist_integral(curvature(rod, state.quaternion), rod.length)
+
+
+def turns(
+    scene: Scene, time: Float[Array, ""] | float, start: Float[Array, ""] | float = 0.0
+) -> Float[Array, ""]:
+    """Turns that a scene's drives of both ends applied from `start` to `time`, in the sense of Lk.
+
+    The end s = 0 turned by -turns about its tangent, or the other by +turns about its own, counts
+    positive.
+
+    Raises:
+        ValueError: a drive does not turn about the tangent of its end in the rod's placing, so
+            that its angle is no number of turns (checked outside traced code).
+    """
+    frames = (scene.rod.quaternion[0], scene.rod.quaternion[-1])
+    names = ("first_end", "last_end")
+    total = jnp.zeros((), scene.rod.position.dtype)
+    for name, end, frame, sign in zip(names, scene.ends, frames, (-1, 1), strict=True):
+        turn = end.rotation
+        if turn is None:
+            continue
+        along = _along(name, turn, frame)
+        angle = turn.angle(jnp.asarray(time)) - turn.angle(jnp.asarray(start))
+        total = total + sign * along * angle / (2 * jnp.pi)
+    return total
+
+
+def _along(name: str, turn: Turn, frame: Float[Array, "4"]) -> Float[Array, ""]:
+    """1 or -1: whether the drive turns about the tangent or against it."""
+    cosine = jnp.sum(turn.axis * rotations.tangent_director(frame))
+    if isinstance(cosine, jax.core.Tracer):
+        return cosine
+    if np.abs(np.abs(np.asarray(cosine)) - 1) > 1e3 * float(jnp.finfo(cosine.dtype).eps):
+        raise ValueError(
+            f"{name}.rotation: turns are counted for a drive about the end's tangent only;"
+            f" its axis makes an angle of {float(jnp.degrees(jnp.arccos(cosine))):.3g} degrees"
+        )
+    return cosine
+
+
+class Linking(NamedTuple):
+    """Topology of a run at its saved times; all in turns.
+
+    Attributes:
+        time: [s].
+        twist: exact twist Tw of the polygon of nodes, so that Tw + Wr = Lk to rounding.
+        twist_eq15: the paper's, Eq. (15), equal to second order in the element length.
+        writhe: Wr.
+        turns: applied by the drives since the first state.
+    """
+
+    time: Float[Array, " k"]
+    twist: Float[Array, " k"]
+    twist_eq15: Float[Array, " k"]
+    writhe: Float[Array, " k"]
+    turns: Float[Array, " k"]  # applied by the drives since the first state
+
+    @property
+    def error(self) -> Float[Array, " k"]:
+        """Change of Tw + Wr less the turns applied: 0, or 2 more or less for each passage."""
+        start = self.twist[0] + self.writhe[0]
+        return topology.linking_error(self.turns, self.twist, self.writhe) - start
+
+
+def linking(scene: Scene, run: Run, extension: float | None = None) -> Linking:
+    """Twist, writhe and applied turns over the saved states of a run (one state at a time).
+
+    The drives are those of the scene; `extension` is that of `topology.writhe` [m]. The writhe of a
+    ring (`scene.closed`) is that of its closed line: extensions would cross where its ends meet.
+    """
+    applied = jax.vmap(lambda t: turns(scene, t, run.times[0]))(run.times)
+    twists, integrals, writhes = _topology(scene, run.states, extension)
+    return Linking(run.times, twists, integrals, writhes, applied)
+
+
+@compiled
+def _topology(scene, states, extension):
+    closed = scene.closed
+    one = lambda s: (twist(s), twist_eq15(scene.rod, s), writhe_of(closed, s, extension))
+    return lax.map(one, states)
+
+
+@compiled
+def contacts(scene: Scene, run: Run) -> ContactReport:
+    """Contact forces of a scene, their sum and the smallest gap at every saved time of a run.
+
+    Raises:
+        ValueError: the scene has no contact.
+    """
+    contact = scene.contact
+    if contact is None:
+        raise ValueError("scene: it has no contact to report")
+
+    def one(s):
+        found = contact_forces.report(contact, scene.rod, s.position, s.velocity, scene.closed)
+        # what is not a number is near nothing, but not for that free of forces
+        unknown = 0 * jnp.sum(s.position)
+        force, total, smallest = (x + unknown for x in (found.force, found.total, found.smallest))
+        return ContactReport(force, total, smallest, found.overflow)
+
+    return lax.map(one, run.states)
+
+
+def stretch_error(rod: Rod, state: State) -> Float[Array, ""]:
+    """Largest |gamma - e3 - compliance f| of any element and component of a rod in a state [-]."""
+    stretch = strains(rod, state.position, state.quaternion).stretch
+    return jnp.max(jnp.abs(balance.constraint(rod, stretch, state.force)))
+
+
+class Apex(NamedTuple):
+    """The point of the rod that is farthest from the loading axis.
+
+    Attributes:
+        index: node number, with a fraction.
+        position: [m].
+        tangent: unit third director there.
+    """
+
+    index: Float[Array, ""]  # node number, with a fraction
+    position: Float[Array, "3"]
+    tangent: Float[Array, "3"]
+
+
+def apex(
+    state: State, axis: Float[AnyArray, "3"], origin: Float[AnyArray, "3"] | None = None
+) -> Apex:
+    """The apex of a state from the line along `axis` through `origin` (default: the node s = 0).
+
+    The node farthest from the line, refined by the parabola through the squared distances of it
+    and its two neighbours; position and third director are interpolated quadratically there. It
+    is continuous up to third order in the element length where the farthest node changes, and
+    without meaning while the rod is straight.
+    """
+    axis = jnp.asarray(axis, state.position.dtype)
+    unit = axis / jnp.linalg.norm(axis)
+    offset = state.position - (state.position[0] if origin is None else origin)[None]
+    squared = jnp.sum(jnp.cross(offset, unit[None]) ** 2, 1)
+    k = jnp.clip(jnp.argmax(squared), 1, squared.shape[0] - 2)
+    near = lambda values: lax.dynamic_slice_in_dim(values, k - 1, 3)
+    a, b, c = near(squared)
+    bend = a - 2 * b + c
+    # not a node that is farther than both neighbours; what is not a number stays so
+    flat = bend >= 0
+    x = jnp.where(flat, 0.0, 0.5 * (a - c) / jnp.where(flat, 1.0, bend))
+    x = jnp.clip(x, -1.0, 1.0)
+    weights = jnp.stack([0.5 * x * (x - 1), 1 - x * x, 0.5 * x * (x + 1)])
+    tangent = weights @ near(rotations.tangent_director(state.quaternion))
+    return Apex(
+        k.astype(x.dtype) + x, weights @ near(state.position), tangent / jnp.linalg.norm(tangent)
+    )
+
+
+def apex_angle(
+    state: State, axis: Float[AnyArray, "3"], origin: Float[AnyArray, "3"] | None = None
+) -> Float[Array, ""]:
+    """Angle between the tangent at the apex and the loading axis [rad], pi/2 when orthogonal.
+
+    Arguments as those of `apex`: state, axis, origin.
+    """
+    unit = axis / jnp.linalg.norm(axis)
+    tangent = apex(state, axis, origin).tangent
+    squared = jnp.sum(jnp.cross(tangent, unit) ** 2)
+    aligned = squared == 0
+    sine = jnp.where(aligned, 0.0, jnp.sqrt(jnp.where(aligned, 1.0, squared)))
+    return jnp.arctan2(sine, jnp.sum(tangent * unit))
+
+
+def slopes(times: Float[AnyArray, " k"], values: Float[AnyArray, " k"]) -> Float[Array, " k"]:
+    """Rate of values sampled at times, from the parabola through three consecutive samples."""
+    dt = jnp.diff(times)
+    secant = jnp.diff(values) / dt
+    inner = (dt[1:] * secant[:-1] + dt[:-1] * secant[1:]) / (dt[1:] + dt[:-1])
+    first, last = 2 * secant[:1] - inner[:1], 2 * secant[-1:] - inner[-1:]
+    return jnp.concatenate([first, inner, last])
+
+
+def first_crossing(
+    times: Float[AnyArray, " k"],
+    values: Float[AnyArray, " k"],
+    level: Float[Array, ""] | float,
+    rates: Float[AnyArray, " k"] | None = None,
+) -> Float[Array, ""]:
+    """Time at which a sampled quantity first reaches a level from below.
+
+    Linear between samples, or the cubic through values and `rates` at both (`slopes` gives rates
+    for a smooth quantity). The first time if it starts at or above the level, inf if it never
+    reaches it; NaN if it is not known whether it would have (a run that failed before).
+    Differentiable in all arguments; the sample interval is held.
+
+    Args:
+        times: of the samples, increasing [s].
+        values: of the quantity at the times.
+        level: in the unit of the values.
+        rates: derivatives of the values by time.
+    """
+    reached = values >= level
+    j = jnp.argmax(reached)  # first true
+    i = jnp.maximum(j - 1, 0)
+    inside = reached[j] & (j > 0)
+    t0, t1, v0, v1 = times[i], times[i + 1], values[i], values[i + 1]
+    if rates is None:
+        x = (level - v0) / jnp.where(inside, v1 - v0, 1.0)
+    else:
+        # a harmless line where nothing is crossed
+        line = (level - 0.5, level + 0.5, 1.0, 1.0)
+        cubic = (v0, v1, (t1 - t0) * rates[i], (t1 - t0) * rates[i + 1])
+        cubic = tuple(jnp.where(inside, a, b) for a, b in zip(cubic, line, strict=True))
+        x = _hermite_root(cubic, jnp.asarray(level, values.dtype))
+    time = jnp.where(inside, t0 + x * (t1 - t0), times[0])
+    return jnp.where(jnp.any(reached), time, _unless_unknown(values, jnp.inf))
+
+
+def _unless_unknown(values, otherwise):
+    """NaN if a value is, with a derivative that is NaN as well, else what is given."""
+    return jnp.where(jnp.any(jnp.isnan(values)), jnp.sum(values), otherwise)
+
+
+def _hermite_root(cubic, level):
+    """Root in [0, 1] of the cubic with these end values and slopes, by bisection and Newton."""
+    v0, v1, m0, m1 = cubic
+
+    def gap(x):
+        rise = v1 - v0
+        value = v0 + x * (m0 + x * ((3 * rise - 2 * m0 - m1) + x * (m0 + m1 - 2 * rise)))
+        return value - level
+
+    def solve(function, x):
+        def halve(_, bracket):
+            low, high = bracket
+            middle = 0.5 * (low + high)
+            below = function(middle) < 0
+            return jnp.where(below, middle, low), jnp.where(below, high, middle)
+
+        return 0.5 * sum(lax.fori_loop(0, 60, halve, (jnp.zeros_like(x), jnp.ones_like(x))))
+
+    return lax.custom_root(
+        gap, 0.5 * jnp.ones_like(level), solve, lambda g, y: y / g(jnp.ones_like(y))
+    )
+
+
+def time_of_maximum(
+    times: Float[AnyArray, " k"], values: Float[AnyArray, " k"]
+) -> Float[Array, ""]:
+    """Time of the largest of values sampled at times.
+
+    The vertex of the parabola through it and its two neighbours.
+
+    The sample's own time if it is the first or the last; NaN if a value is. Differentiable; the
+    samples are held.
+    """
+    largest = jnp.argmax(values)
+    k = jnp.clip(largest, 1, values.shape[0] - 2)
+    t, v = lax.dynamic_slice_in_dim(times, k - 1, 3), lax.dynamic_slice_in_dim(values, k - 1, 3)
+    before, after = t[1] - t[0], t[2] - t[1]
+    distinct = (before > 0) & (after > 0)
+    before, after = jnp.where(distinct, before, 1.0), jnp.where(distinct, after, 1.0)
+    left, right = (v[1] - v[0]) / before, (v[2] - v[1]) / after
+    bend = right - left
+    inside = (largest == k) & distinct & (bend < 0)
+    bend = jnp.where(inside, bend, 1.0)
+    # the slope of the parabola falls linearly from `left` to `right` between the interval centres
+    vertex = 0.5 * (t[0] + t[1]) - left / bend * 0.5 * (before + after)
+    return _unless_unknown(values, jnp.where(inside, vertex, times[largest]))
+
+
+def buckling_time(scene: Scene, run: Run) -> Float[Array, ""]:
+    """Time of the largest torsional energy of a scene's run.
+
+    Section 4.3 of Goyal, Perkins & Lee.
+    """
+    torsion = lax.map(lambda s: energy.torsion_energy(scene, s), run.states)
+    return time_of_maximum(run.times, torsion)
+
+
+def apex_orthogonal_time(
+    run: Run, axis: Float[AnyArray, "3"], origin: Float[AnyArray, "3"] | None = None
+) -> Float[Array, ""]:
+    """First time at which the apex tangent is orthogonal to the loading axis; inf if never.
+
+    The axis and the origin of the line are those of `apex`, at every saved state of the run.
+    """
+    angle = lax.map(lambda s: apex_angle(s, axis, origin), run.states)
+    return first_crossing(run.times, angle, 0.5 * jnp.pi)

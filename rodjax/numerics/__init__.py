@@ -1,0 +1,1 @@
+"""What knows nothing of rods: rotations, elimination, Newton, result codes, compilation."""

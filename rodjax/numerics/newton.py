@@ -1,0 +1,202 @@
+"""Newton's method for a pytree of equations, with exact derivatives of its solution.
+
+An equations object has
+    residual(x) -> r                                  r = 0 is to be solved,
+    newton_increment(x) -> dx                         minus the derivative's inverse times r,
+    linearize(x) -> system                            system.solve(b), system.solve_transpose(b),
+                                                      system.multiply(b): the derivative at x,
+                                                      system.eliminate(): for several right sides,
+    retract(x, dx) -> x                               applies the solved increment,
+    lift(x, dx) -> d(x)                               the same to first order,
+    limit(x, dx) -> scale in (0, 1]                   how much of the increment is safe,
+    size(dx) -> scalar                                the increment in units of the tolerance,
+    iterate(x, tolerance, max_iterations) -> x, info  by one of the iterations below,
+as far as what is called needs them.
+"""
+
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jax import lax
+from jax.ad_checkpoint import checkpoint_name
+from jaxtyping import Array, Bool, Float, Int
+
+from rodjax.numerics.results import Result
+
+# Under `jax.checkpoint` with `jax.checkpoint_policies.save_only_these_names(SOLUTION)` a reverse
+# pass takes what is so named from the forward pass, and repeats no iteration and no search.
+SOLUTION = "newton_solution"
+
+
+# Contraction above which a held derivative is taken anew.
+_HELD = 0.2
+
+# How many increments may fail to shrink before a step is given up, to be tried again by a shorter.
+PATIENCE = 4
+
+
+class NewtonInfo(NamedTuple):
+    """How the iteration went."""
+
+    result: Int[Array, ""]
+    iterations: Int[Array, ""]
+
+
+class _Loop(NamedTuple):
+    x: Any
+    iterations: Int[Array, ""]
+    size: Float[Array, ""]
+    contraction: Float[Array, ""]  # of the last increment over the one before
+    slow: Int[Array, ""]
+    converged: Bool[Array, ""]
+    finite: Bool[Array, ""]
+
+
+def iterate(
+    equations, x, tolerance, max_iterations, patience: int = PATIENCE
+) -> tuple[Any, NewtonInfo]:
+    """Newton's iteration. Stops on the error PREDICTED after an update from two successive ones.
+
+    With sizes s_{k-1}, s_k of the last two increments and q = s_k/s_{k-1} the error left is about
+    s_k q/(1 - q) or less (it is quadratic in s_k near a solution). Gives up early when so many
+    increments in all as `patience` says have failed to shrink.
+    """
+
+    def body(loop: _Loop) -> _Loop:
+        return _updated(equations, loop, equations.newton_increment(loop.x), tolerance)
+
+    going = lambda loop: _unfinished(loop, max_iterations, patience)
+    return _outcome(lax.while_loop(going, body, _beginning(x)))
+
+
+def iterate_held(equations, x, tolerance, max_iterations) -> tuple[Any, NewtonInfo]:
+    """As `iterate`, with the derivative held while increments shrink fast (chord method).
+
+    The error left is predicted for the slower contraction of the chord method. For systems whose
+    elimination costs several times a residual.
+    """
+
+    def body(loop: _Loop) -> _Loop:
+        system = equations.linearize(loop.x).eliminate()
+
+        def again(state):
+            first, inner = state
+            return _unfinished(inner, max_iterations) & (first | (inner.contraction < _HELD))
+
+        def correct(state):
+            inner = state[1]
+            dx = system.solve(-equations.residual(inner.x))
+            # the first correction by a derivative is quadratic, s_1 = c s_0^2, and those that
+            # follow shrink by 2 c s_0 each
+            return jnp.asarray(False), _updated(equations, inner, dx, tolerance, growth=2.0)
+
+        return lax.while_loop(again, correct, (jnp.asarray(True), loop))[1]
+
+    going = lambda loop: _unfinished(loop, max_iterations)
+    return _outcome(lax.while_loop(going, body, _beginning(x)))
+
+
+def _beginning(x) -> _Loop:
+    no, zero = jnp.asarray(False), jnp.asarray(0, jnp.int32)
+    one = jnp.ones((), x.dtype)
+    return _Loop(x, zero, one * jnp.inf, one, zero, no, ~no)
+
+
+def _updated(equations, loop: _Loop, dx, tolerance, growth=1.0) -> _Loop:
+    """The iteration after an increment, the next contraction being `growth` times the last."""
+    scale = equations.limit(loop.x, dx)
+    full = equations.size(dx)
+    contraction = jnp.where(loop.iterations > 0, full / loop.size, 1.0)
+    ahead = growth * contraction
+    left = full * jnp.minimum(ahead / jnp.maximum(1 - ahead, 0.5), 1.0)
+    slow = (contraction > 0.7) & (loop.iterations > 0) & (scale >= 1.0)
+    return _Loop(
+        equations.retract(loop.x, scale * dx),
+        loop.iterations + 1,
+        full,
+        contraction,
+        loop.slow + slow.astype(jnp.int32),
+        (left <= tolerance) & (scale >= 1.0),
+        jnp.isfinite(full),
+    )
+
+
+def _unfinished(loop: _Loop, max_iterations, patience: int = PATIENCE):
+    going = ~loop.converged & loop.finite & (loop.iterations < max_iterations)
+    return going & (loop.slow < patience)
+
+
+def _outcome(end: _Loop) -> tuple[Any, NewtonInfo]:
+    result = jnp.where(end.converged, Result.SUCCESS, Result.NEWTON_FAILED)
+    result = jnp.where(end.finite, result, Result.NON_FINITE)
+    return end.x, NewtonInfo(result.astype(jnp.int32), end.iterations)
+
+
+@eqx.filter_custom_jvp
+def solve(equations, x, tolerance, max_iterations) -> tuple[Any, NewtonInfo]:
+    """Root of the equations from the guess x, differentiable as `root` is.
+
+    The guess, the tolerance and the iterations taken have no influence on the derivative.
+    """
+    return equations.iterate(x, tolerance, max_iterations)
+
+
+@solve.def_jvp
+def _solve_jvp(primals, tangents):
+    # named with its derivatives: named before them, second derivatives under a policy would miss
+    # how the solution moves
+    x, info = checkpoint_name(solve(*primals), SOLUTION)
+    nothing = jax.tree.map(lambda _: None, info)
+    return (x, info), (_tangent(primals[0], x, tangents[0]), nothing)
+
+
+@eqx.filter_custom_jvp
+def solve_linear(equations):
+    """Root of equations residual(x) = A x - `right`, differentiable as `root` is."""
+    return equations.linearize(None).solve(equations.right)
+
+
+@solve_linear.def_jvp
+def _solve_linear_jvp(primals, tangents):
+    x = checkpoint_name(solve_linear(*primals), SOLUTION)
+    return x, _tangent(primals[0], x, tangents[0])
+
+
+@eqx.filter_custom_jvp
+def root(equations, x):
+    """The root x of the equations, with its derivative by the implicit function theorem.
+
+    dx = -(dr/dx)^-1 (dr/d equations), in forward and reverse mode and nested.
+    """
+    return x
+
+
+@root.def_jvp
+def _root_jvp(primals, tangents):
+    x = root(*primals)
+    return x, _tangent(primals[0], x, tangents[0])
+
+
+def _tangent(equations, x, change):
+    """How the root x moves with a change of the equations."""
+    if not any(leaf is not None for leaf in jax.tree.leaves(change)):
+        return jnp.zeros_like(x)
+    _, dr = eqx.filter_jvp(lambda e: e.residual(x), (equations,), (change,))
+    if dr is None:  # what changes has no influence here
+        return jnp.zeros_like(x)
+    system = equations.linearize(x)
+    dx = lax.custom_linear_solve(
+        system.multiply,
+        -dr,
+        lambda _, b: system.solve(b),
+        lambda _, b: system.solve_transpose(b),
+    )
+    return equations.lift(x, dx)
+
+
+def constant(tree: Any) -> Any:
+    """The tree without derivatives."""
+    arrays, rest = eqx.partition(tree, eqx.is_array)
+    return eqx.combine(lax.stop_gradient(arrays), rest)

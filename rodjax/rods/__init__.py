@@ -1,0 +1,1 @@
+"""What a rod is: sections, shapes, state, strains, balance, and the topology of its line."""

@@ -1,0 +1,185 @@
+"""Section properties along the rod: stiffness, inertia, compliance, thickness."""
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array
+
+from rodjax.inputs.argument_types import AnyArray, Number
+from rodjax.inputs.user_functions import called
+from rodjax.inputs.validation import (
+    as_float,
+    check_flag,
+    check_numbers,
+    check_positive,
+    check_scalar,
+    given,
+    made_array,
+    shown,
+)
+
+Property = Number | AnyArray | Callable[[np.ndarray], np.ndarray]
+Three = Sequence[Property | Sequence[Number | AnyArray]] | AnyArray
+"""Three properties, or three components an element."""
+
+# what three components are, for messages
+STIFFNESS = "(A1, A2, C), bending about a_1 and a_2 and torsion; for a round rod (A, A, C)"
+CURVATURE = "(kappa_1, kappa_2, twist) in the body frame; for none (0, 0, 0)"
+INERTIA = "per length about a_1, a_2, a_3; None leaves it out"
+COMPLIANCE = "(1/GA1, 1/GA2, 1/EA), shear and stretch; None for a rod that does neither"
+
+
+class Section(eqx.Module):
+    """Section properties: each a number, values per element, or a function of arc length.
+
+    A function is given the arc lengths of all element centres at once and returns a value for
+    each (or one for all). Where a field has three components give each by itself, or an array
+    (elements, 3). Axes are those of the body frame: a_1 and a_2 across the rod, a_3 along it.
+
+    Attributes:
+        stiffness: (A1, A2, C): bending about a_1 and a_2 and torsion [N m^2]; EI_1, EI_2 and GJ.
+        mass: per length [kg/m]; None for a rod without inertia, which drag balances.
+        rotary_inertia: (I1, I2, I3): moments of inertia per length about a_1, a_2, a_3 [kg m];
+            None leaves rotary inertia out.
+        compliance: (1/GA1, 1/GA2, 1/EA): shear along a_1 and a_2 and stretch, with the shear
+            factor where there is one [1/N]; None for a rod without shear and stretch.
+        diameter: [m]; of drag and contact.
+        area: of the section [m^2]; of buoyancy and added mass.
+    """
+
+    stiffness: Three
+    mass: Property | None = None
+    rotary_inertia: Three | None = None
+    compliance: Three | None = None
+    diameter: Property | None = None
+    area: Property | None = None
+
+    def __check_init__(self):
+        triples = given(rotary_inertia=self.rotary_inertia, compliance=self.compliance)
+        meanings = {"rotary_inertia": INERTIA, "compliance": COMPLIANCE}
+        check_components(STIFFNESS, stiffness=self.stiffness)
+        for name, value in triples.items():
+            check_components(meanings[name], **{name: value})
+        check_property(**given(mass=self.mass, diameter=self.diameter, area=self.area))
+
+
+def check_property(**properties) -> None:
+    """Raise ValueError unless each is real numbers or a function."""
+    for name, value in properties.items():
+        if isinstance(value, type) or not callable(value):
+            check_numbers(**{name: value})
+
+
+def check_components(meaning: str, **properties) -> None:
+    """Raise ValueError unless each is three properties, or an array with three a row."""
+    for name, value in properties.items():
+        refusal = f"{name}: give three components, {meaning}; got {shown(value)}"
+        if hasattr(value, "shape"):
+            check_numbers(**{name: value})
+            if 3 not in value.shape or len(value.shape) > 2:
+                raise ValueError(refusal)
+            continue
+        if not isinstance(value, list | tuple):
+            raise ValueError(refusal)
+        if len(value) == 3:
+            for part in value:
+                check_property(**{name: part})
+        elif not value or any(getattr(made_array(row), "shape", ()) != (3,) for row in value):
+            raise ValueError(refusal)
+
+
+def sample(value: Property, midpoints: AnyArray, name: str) -> Array:
+    """Values per element of a constant, an array or a function of s (taken at the centres)."""
+    if callable(value) and not isinstance(value, type):
+        hint = "it is given all arc lengths at once: numpy.where takes the place of `if`"
+        value = called(name, value, midpoints, hint=hint)
+    check_numbers(**{name: value})
+    result = jnp.asarray(as_float(value), jnp.result_type(float))
+    if result.ndim == 0:
+        return jnp.broadcast_to(result, midpoints.shape)
+    if result.shape != midpoints.shape:
+        raise ValueError(
+            f"{name}: give a number, a function of s, or {midpoints.size} values (one an element);"
+            f" got shape {result.shape}"
+        )
+    return result
+
+
+def components(value: Any, midpoints: AnyArray, name: str, meaning: str) -> Array:
+    """Values (n, 3) of three properties or of an array (n, 3)."""
+    check_components(meaning, **{name: value})
+    n = midpoints.shape[0]
+    shape = value.shape if hasattr(value, "shape") else (len(value),)
+    if len(shape) == 2 and n == 3:
+        raise ValueError(
+            f"{name}: of three elements an array of shape {shape} may hold the components in its"
+            " rows or its columns; give a tuple of three components"
+        )
+    rows = value if len(shape) == 2 else None
+    if shape == (n,) and n != 3:
+        rows = made_array(value)  # a list of rows
+    if rows is not None and rows.shape == (n, 3):
+        return jnp.asarray(as_float(rows), jnp.result_type(float))
+    if shape[0] != 3:
+        got = tuple(made_array(value).shape)
+        raise ValueError(f"{name}: expected shape {(n, 3)} for {n} elements, got {got}")
+    return jnp.stack([sample(part, midpoints, name) for part in value], -1)
+
+
+def circular_section(
+    diameter: Property,
+    youngs_modulus: Number | Array,
+    shear_modulus: Number | Array,
+    density: Number | Array | None,
+    *,
+    rotary_inertia: bool = True,
+    extensible: bool = False,
+    shear_factor: Number = 1.0,
+) -> Callable[[np.ndarray], Section]:
+    """Solid circular section: A_c = pi D^2/4, A1 = A2 = E A_c D^2/16, C = G A_c D^2/8.
+
+    Args:
+        diameter: D [m]; a number, values per element, or a function of arc length.
+        youngs_modulus: E [Pa].
+        shear_modulus: G [Pa]; E/(2 (1 + nu)), E/3 of rubber.
+        density: [kg/m^3]; None for a rod without inertia.
+        rotary_inertia: False leaves I = rho J out.
+        extensible: True adds the shear and axial compliances 1/(k G A_c) and 1/(E A_c).
+        shear_factor: k.
+
+    Returns a function of the arc lengths of the element centres, for the builders of rods.
+    Source: Table 1 of Goyal, Perkins & Lee.
+    """
+    check_flag(rotary_inertia=rotary_inertia, extensible=extensible)
+    check_property(diameter=diameter)
+    numbers = {
+        "youngs_modulus": youngs_modulus,
+        "shear_modulus": shear_modulus,
+        "shear_factor": shear_factor,
+        **given(density=density),
+    }
+    check_scalar(**numbers)
+    check_positive(**numbers)
+    youngs, shear, factor = map(as_float, (youngs_modulus, shear_modulus, shear_factor))
+    weight = None if density is None else as_float(density)
+
+    def at(midpoints: AnyArray) -> Section:
+        d = sample(diameter, midpoints, "diameter")
+        check_positive(diameter=d)
+        area = jnp.pi * d**2 / 4
+        bend = area * d**2 / 16
+        inertia = None if weight is None or not rotary_inertia else weight * bend
+        soft = 1 / (factor * shear * area)
+        return Section(
+            stiffness=(youngs * bend, youngs * bend, 2 * shear * bend),
+            mass=None if weight is None else weight * area,
+            rotary_inertia=None if inertia is None else (inertia, inertia, 2 * inertia),
+            compliance=(soft, soft, 1 / (youngs * area)) if extensible else None,
+            diameter=d,
+            area=area,
+        )
+
+    return at

@@ -1,0 +1,28 @@
+"""The rod as it was built, at rest: where statics and dynamics may start."""
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from rodjax.inputs.argument_types import Number
+from rodjax.inputs.validation import check_finite, check_scalar
+from rodjax.rods.state import State
+from rodjax.scenes.arguments import check_scene
+from rodjax.scenes.scene import Scene
+
+
+def placing(scene: Scene, time: Number | Float[Array, ""] = 0.0) -> State:
+    """The rod at rest as it was built, without internal force: where a load path may start.
+
+    Args:
+        scene: whose rod it is.
+        time: of the state [s].
+    """
+    check_scene(scene)
+    check_scalar(time=time)
+    check_finite(time=time)
+    rod = scene.rod
+    dtype = rod.position.dtype
+    rate = jnp.zeros((rod.elements + 1, 6), dtype)
+    force = jnp.zeros((rod.elements, 3), dtype)
+    now = jnp.asarray(time, dtype)
+    return State(now, rod.position, rod.quaternion, rate, rate, rate, force)
