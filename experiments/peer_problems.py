@@ -41,7 +41,7 @@ class CannotRun(NamedTuple):
 
 @dataclasses.dataclass(frozen=True)
 class Drag:
-    """Morison drag, as `rodjax.loads.MorisonDrag`."""
+    """Morison drag, as `rodjax.MorisonDrag`."""
 
     fluid_density: float
     normal: float

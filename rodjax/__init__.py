@@ -13,6 +13,9 @@ Double precision is the caller's choice: `jax.config.update("jax_enable_x64", Tr
 """
 
 import importlib
+import importlib.abc
+import importlib.machinery
+import sys
 from typing import TYPE_CHECKING
 
 from rodjax.constraints.ends import AbstractEnd as AbstractEnd
@@ -101,6 +104,21 @@ if TYPE_CHECKING:
 
 __version__ = "0.1.0"
 
+# where the public modules are
+_FOLDERS = {
+    "energy": "measuring",
+    "measures": "measuring",
+    "paper_scheme": "reference",
+    "plot": "files",
+    "rotations": "numerics",
+    "semidiscrete": "reference",
+    "storage": "files",
+    "sweep": "files",
+    "topology": "rods",
+    "units": "files",
+    "windows": "dynamics",
+}
+
 __all__ = [
     "AbstractEnd",
     "AbstractLaw",
@@ -186,10 +204,33 @@ __all__ = [
 ]
 
 
+class _PublicModules(importlib.abc.MetaPathFinder, importlib.abc.Loader):
+    """Imports a public module by the name it is reached by: `import rodjax.storage`."""
+
+    def find_spec(self, fullname, path, target=None):
+        package, _, name = fullname.rpartition(".")
+        if package == __name__ and name in _FOLDERS:
+            return importlib.machinery.ModuleSpec(fullname, self)
+        return None
+
+    def create_module(self, spec):
+        name = spec.name.rpartition(".")[2]
+        module = importlib.import_module(f"{__name__}.{_FOLDERS[name]}.{name}")
+        self._own = module.__spec__
+        return module
+
+    def exec_module(self, module):
+        # the import has given it the specification of its second name
+        module.__spec__ = self._own
+
+
+sys.meta_path.append(_PublicModules())
+
+
 def __getattr__(name: str):
     """Public modules that the import of the package leaves out (HDF5 alone takes a tenth of it)."""
-    if name in __all__:
-        return importlib.import_module(f"rodjax.{name}")
+    if name in _FOLDERS:
+        return importlib.import_module(f"{__name__}.{name}")
     raise AttributeError(f"module 'rodjax' has no attribute {name!r}")
 
 

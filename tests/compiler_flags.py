@@ -1,10 +1,10 @@
 """Flags of the tests' compiler, set on import, which must come before that of jax.
 
-Most of the tests' time is compilation. rodjax/compilation.py says what the first two flags are for
-(the second went with 0.12). Without LLVM's optimisation a program compiles in three quarters of the
-time; bits may then differ between programs that should agree in them, so where tests are chosen by
-their marks (`-m slow`, `-m ''`) all run as users' programs do. Workers inherit what is set by the
-process that starts them.
+Most of the tests' time is compilation; numerics/compilation.py says what the first two flags are
+for (the second went with 0.12). Without LLVM's optimisation a program compiles in three quarters of
+the time; bits may then differ between programs that should agree in them, so where tests are chosen
+by their marks (`-m slow`, `-m ''`) all run as users' programs do. Workers inherit what is set by
+the process that starts them.
 """
 
 import importlib.metadata

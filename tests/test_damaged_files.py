@@ -271,7 +271,7 @@ def cut_states(file):
 HOSTILE = {
     "class of another module": attributes("scene", MODULE="os", CLASS="system"),
     "module to import": attributes("scene", MODULE="evil_module", CLASS="Scene2"),
-    "no class": attributes("scene", MODULE="rodjax.storage", CLASS="np"),
+    "no class": attributes("scene", MODULE="rodjax.files.storage", CLASS="np"),
     "end as rod": attributes("scene/rod", MODULE="rodjax.ends", CLASS="Free"),
     "load as end": attributes("scene/first_end", MODULE="rodjax.loads", CLASS="Gravity"),
     "rod as run": attributes("run", MODULE="rodjax.rod", CLASS="Rod"),
@@ -420,7 +420,7 @@ def test_systems_that_sync_no_folder_and_only_what_is_written(tmp_path, monkeypa
         raise PermissionError(13, "Permission denied")
 
     system = {**vars(os), "name": "nt", "fsync": fsync, "open": refuse}
-    monkeypatch.setattr("rodjax.sealed_files.os", types.SimpleNamespace(**system))
+    monkeypatch.setattr("rodjax.files.sealed_files.os", types.SimpleNamespace(**system))
     with replacing(tmp_path / "run.h5") as file:
         file["one"] = 1
     assert list(read_images(tmp_path / "run.h5")[0][0].children) == ["one"]

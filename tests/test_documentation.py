@@ -31,18 +31,19 @@ def _public() -> dict[str, object]:
         found |= _of_module(name)
     # what public functions return
     for module, names in {
-        "energy": ["Ledger", "Reactions"],
-        "stepping": ["StepInfo"],
-        "contact_forces": ["ContactReport"],
-        "load_path": ["EquilibriumInfo"],
-        "linear_stability": ["Stability"],
-        "small_vibration": ["Vibration"],
-        "descent": ["Minimum"],
-        "step_control": ["Control"],
-        "tubes": ["View", "facing"],
+        "measuring.energy": ["Ledger", "Reactions"],
+        "rods.winding": ["twist", "writhe", "writhe_of"],
+        "dynamics.stepping": ["StepInfo"],
+        "interactions.contact_forces": ["ContactReport"],
+        "equilibria.load_path": ["EquilibriumInfo"],
+        "equilibria.linear_stability": ["Stability"],
+        "equilibria.small_vibration": ["Vibration"],
+        "fitting.descent": ["Minimum"],
+        "dynamics.step_control": ["Control"],
+        "files.tubes": ["View", "facing"],
     }.items():
         of = __import__(f"rodjax.{module}", fromlist=names)
-        found |= {f"{module}.{key}": getattr(of, key) for key in names}
+        found |= {f"{module.split('.')[1]}.{key}": getattr(of, key) for key in names}
     return found
 
 

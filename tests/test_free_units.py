@@ -67,7 +67,7 @@ def in_si():
 
 @pytest.mark.slow
 # the grid is coarse in any units, and the runs say so
-@pytest.mark.filterwarnings("ignore::rodjax.results.ModelWarning")
+@pytest.mark.filterwarnings("ignore::rodjax.numerics.results.ModelWarning")
 @pytest.mark.parametrize("name", ["nm pN us", slow("Mm GN ks")])
 def test_units_are_free(in_si, name):
     units = length, force, duration = UNITS[name]

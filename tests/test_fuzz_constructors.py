@@ -82,7 +82,7 @@ def constructions(seed, number):
 # words of equinox and jax that come before our error, which must still come
 @pytest.mark.filterwarnings("ignore:A JAX array is being set as static:UserWarning")
 @pytest.mark.filterwarnings("ignore:Python iterable type:DeprecationWarning")
-@pytest.mark.filterwarnings("ignore::rodjax.results.ModelWarning")
+@pytest.mark.filterwarnings("ignore::rodjax.numerics.results.ModelWarning")
 @pytest.mark.parametrize(
     ("seed", "number"), [(0, 200), pytest.param(1, 3000, marks=pytest.mark.slow)]
 )
@@ -96,7 +96,7 @@ def test_valid_arguments_are_taken():
         build(**{part: valid for part, (valid, _) in parts.items()})
 
 
-@pytest.mark.filterwarnings("ignore::rodjax.results.ModelWarning")
+@pytest.mark.filterwarnings("ignore::rodjax.numerics.results.ModelWarning")
 def test_traced_arguments_are_taken_or_refused_by_name():
     """Numbers and vectors may be traced; counts and flags, which make the program, may not."""
     fixed = {"elements", "rotary_inertia", "extensible", "stress_free", "follower", "jumps"}

@@ -38,7 +38,7 @@ def random_scene(draw, kind):
 
 
 # what the grid does not resolve is said, and is no fault
-@pytest.mark.filterwarnings("ignore::rodjax.results.ModelWarning")
+@pytest.mark.filterwarnings("ignore::rodjax.numerics.results.ModelWarning")
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", ["hung", "driven", "pulled"])
 def test_short_runs_end_well_or_with_a_code(kind):

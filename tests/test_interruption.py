@@ -73,7 +73,7 @@ def steady(monkeypatch):
 
     def set_to(passes, interrupted=-1):
         kind = type("Kind", (Steady,), {"passes_a_call": passes, "interrupted": interrupted})
-        for module in ("rodjax.given_steps.Pace", "rodjax.adaptive.Pace"):
+        for module in ("rodjax.dynamics.given_steps.Pace", "rodjax.dynamics.adaptive.Pace"):
             monkeypatch.setattr(module, kind)
 
     return set_to

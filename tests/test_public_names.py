@@ -11,7 +11,12 @@ import pytest
 
 import rodjax as rx
 
-MODULES = sorted(p.stem for p in Path(rx.__file__).parent.glob("*.py") if p.stem != "__init__")
+FOLDER = Path(rx.__file__).parent
+MODULES = sorted(
+    ".".join(p.relative_to(FOLDER).with_suffix("").parts)
+    for p in FOLDER.glob("*/*.py")
+    if p.stem != "__init__"
+)
 SOURCE = Path(rx.__file__).read_text()
 
 
@@ -21,7 +26,7 @@ def test_listing_agrees_with_all():
 
 
 def test_listing_holds_all_that_is_imported_by_name():
-    written = re.findall(r"^from rodjax\.?\w* import \w+ as (\w+)", SOURCE, re.MULTILINE)
+    written = re.findall(r"^from rodjax[\w.]* import \w+ as (\w+)", SOURCE, re.MULTILINE)
     assert len(written) > 60
     assert [name for name in written if name not in rx.__all__] == []
 
@@ -50,6 +55,21 @@ def test_import_leaves_files_and_figures_for_later():
     assert run.stdout.strip() == "", run.stderr
 
 
+def test_public_modules_are_imported_by_that_name_too():
+    code = (
+        "import rodjax.storage as storage, rodjax.units, sys\n"
+        "import rodjax as rx\n"
+        "from rodjax.sweep import sweep\n"
+        "from rodjax.files import storage as own\n"
+        "assert storage is rx.storage is own and sweep is rx.sweep.sweep\n"
+        "assert storage.__spec__.name == storage.__name__ == 'rodjax.files.storage'\n"
+    )
+    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert run.returncode == 0, run.stderr
+    with pytest.raises(ModuleNotFoundError, match="No module named 'rodjax.simulate'"):
+        importlib.import_module("rodjax.simulate")
+
+
 def test_unknown_name_is_refused_as_in_any_module():
     with pytest.raises(AttributeError, match="has no attribute 'simulate'"):
         _ = rx.simulate
@@ -60,9 +80,12 @@ def test_unknown_name_is_refused_as_in_any_module():
 def test_no_module_is_shadowed(name):
     module = importlib.import_module(f"rodjax.{name}")
     assert inspect.ismodule(module)
-    assert getattr(rx, name) is module, (
+    folder, own = name.split(".")
+    assert getattr(getattr(rx, folder), own) is module, (
         f"rodjax.{name} is hidden by what is imported under its name"
     )
+    if own in rx._FOLDERS:
+        assert getattr(rx, own) is module
 
 
 def test_docstring_names_what_is_there():

@@ -195,7 +195,7 @@ def test_a_file_that_is_replaced_while_it_is_locked(tmp_path, monkeypatch):
         other.replace(path)
 
     with monkeypatch.context() as patch:
-        patch.setattr("rodjax.recorder.fcntl.flock", late)
+        patch.setattr("rodjax.files.recorder.fcntl.flock", late)
         with pytest.raises(StorageError, match="another process is recording"):
             storage.Recorder.append(path)
     storage.Recorder.append(path).close()
@@ -210,7 +210,7 @@ def test_faults_of_the_disk_are_not_taken_for_another_recorder(tmp_path, monkeyp
 
     for what, message in (("frames", "cannot be written"), ("fcntl.flock", "cannot be locked")):
         with monkeypatch.context() as patch:
-            patch.setattr(f"rodjax.recorder.{what}", broken)
+            patch.setattr(f"rodjax.files.recorder.{what}", broken)
             with pytest.raises(StorageError, match=f"{message}: .*Input/output error"):
                 storage.Recorder.append(path)
     # and no lock was left behind

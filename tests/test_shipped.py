@@ -141,7 +141,7 @@ def test_source_package_holds_sources_alone(tmp_path):
     assert [name for name, content in contents.items() if not _is_text(content)] == []
     folders = {name.partition("/")[0] for name in contents if "/" in name}
     assert folders == {"rodjax", "tests", "experiments", "notebooks", "docs"}
-    modules = {path.relative_to(ROOT).as_posix() for path in (ROOT / "rodjax").glob("*.py")}
+    modules = {path.relative_to(ROOT).as_posix() for path in (ROOT / "rodjax").rglob("*.py")}
     assert modules < set(contents)
     assert {"README.md", "LICENSE", "CHANGELOG.md", "pyproject.toml"} <= set(contents)
 

@@ -197,7 +197,7 @@ def test_fingerprints_are_the_same_in_another_process():
         jax.config.update("jax_enable_x64", True)
         sys.path[:0] = sys.argv[1:]
         from test_sweep import called_back, function, PARAMETERS
-        from rodjax.fingerprint import fingerprint
+        from rodjax.files.fingerprint import fingerprint
         one = {name: value[0] for name, value in PARAMETERS.items()}
         for f in (function, called_back(2.0)):
             print(fingerprint(jax.make_jaxpr(f)(one)))

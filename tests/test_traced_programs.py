@@ -52,7 +52,7 @@ def programs():
 
 def files(text):
     """Files of the library named in a program."""
-    return set(re.findall(r"rodjax/(\w+\.py)", text))
+    return set(re.findall(r"rodjax/\w+/(\w+\.py)", text))
 
 
 def operations(text):

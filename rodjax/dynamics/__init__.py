@@ -1,1 +1,1 @@
-"""Rods in motion: starts, steps, rollouts, runs, and whether they resolve what happens."""
+"""Rods in motion: starts, steps, rollouts, runs, and what these do not resolve."""

@@ -1,1 +1,1 @@
-"""The equations of a scene, at rest and in a step, and their structured matrix."""
+"""The equations of a scene, in a step and at rest, and their structured matrix."""

@@ -80,7 +80,7 @@ class ObjectReader:
     def _record(self, group: Node, place: str):
         name = group.attribute("CLASS", str, place)
         module = group.attribute("MODULE", str, place)
-        kind = self.registry.get(f"{module}.{name}", self.registry.get(name))
+        kind = self.registry.get(f"{records.home(module)}.{name}", self.registry.get(name))
         if kind is None:
             raise StorageError(
                 f"{place}: no class {module}.{name} in rodjax; give yours as load(..., classes=...)"

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from rodjax.files.plain_trees import write_array, write_names
-from rodjax.files.records import field_names, is_record
+from rodjax.files.records import field_names, home, is_record
 from rodjax.files.sealed_files import StorageError
 from rodjax.files.units import Units, unit_of
 from rodjax.rods.state import State
@@ -74,7 +74,7 @@ class ObjectWriter:
 
     def _record(self, group, value, place, unit):
         kind = type(value)
-        group.attrs.update(KIND="record", CLASS=kind.__qualname__, MODULE=kind.__module__)
+        group.attrs.update(KIND="record", CLASS=kind.__qualname__, MODULE=home(kind.__module__))
         # so that a field that was lost is told from one that came with a later version
         write_names(group.attrs, "FIELDS", field_names(kind))
         for field in field_names(kind):

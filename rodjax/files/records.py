@@ -31,6 +31,11 @@ def field_names(kind: type) -> list[str]:
     return list(kind._fields)  # pyright: ignore[reportAttributeAccessIssue]
 
 
+def home(module: str) -> str:
+    """Where files say that a class comes from: the package, whatever its folders."""
+    return "rodjax" if module.startswith("rodjax.") else module
+
+
 def registry(classes: Iterable[type]) -> dict[str, type]:
     """Storable classes by full name, and by plain name where that is unique.
 
@@ -41,14 +46,14 @@ def registry(classes: Iterable[type]) -> dict[str, type]:
     for kind in found:
         if not isinstance(kind, type) or not is_record(kind):
             raise StorageError(f"classes: give classes of equinox modules, not {kind!r}")
-    for entry in pkgutil.iter_modules(rodjax.__path__, "rodjax."):
+    for entry in pkgutil.walk_packages(rodjax.__path__, "rodjax."):
         module = importlib.import_module(entry.name)
         own = (c for c in vars(module).values() if getattr(c, "__module__", "") == entry.name)
         found += [c for c in own if isinstance(c, type) and is_record(c)]
     by_name: dict[str, type] = {}
     names = [c.__name__ for c in found]
     for c in found:
-        by_name[f"{c.__module__}.{c.__qualname__}"] = c
+        by_name[f"{home(c.__module__)}.{c.__qualname__}"] = c
         if names.count(c.__name__) == 1:
             by_name[c.__name__] = c
     return by_name

@@ -1,1 +1,1 @@
-"""What acts on a rod: loads, and contact of strands by a law between points found near."""
+"""What acts on a rod: loads, and contact by a law between points found near."""

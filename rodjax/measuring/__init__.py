@@ -1,1 +1,1 @@
-"""What states and runs are measured by: energies, reactions, linking, events, checks."""
+"""What states and runs are measured by: energies, reactions, linking, checks."""

@@ -1,1 +1,1 @@
-"""What a rod is: sections, shapes, state, strains, balance, and the topology of its line."""
+"""What a rod is: sections, shapes, state, strains, balance, topology of its line."""
