@@ -15,7 +15,9 @@ Double precision is the caller's choice: `jax.config.update("jax_enable_x64", Tr
 import importlib
 import importlib.abc
 import importlib.machinery
+import pathlib
 import sys
+import warnings
 from typing import TYPE_CHECKING
 
 from rodjax.constraints.ends import AbstractEnd as AbstractEnd
@@ -204,18 +206,28 @@ __all__ = [
 ]
 
 
-class _PublicModules(importlib.abc.MetaPathFinder, importlib.abc.Loader):
-    """Imports a public module by the name it is reached by: `import rodjax.storage`."""
+def _place(name: str) -> str | None:
+    """Where a module is that is imported as `rodjax.NAME`: a public one, or one of before 0.2."""
+    if name in _FOLDERS:
+        return f"{__name__}.{_FOLDERS[name]}.{name}"
+    found = sorted(pathlib.Path(__path__[0]).glob(f"*/{name}.py")) if name.isidentifier() else []
+    if not found or name.startswith("_"):
+        return None
+    place = f"{__name__}.{found[0].parent.name}.{name}"
+    warnings.warn(f"rodjax.{name} is {place} now", DeprecationWarning, stacklevel=3)
+    return place
+
+
+class _Modules(importlib.abc.MetaPathFinder, importlib.abc.Loader):
+    """Imports modules by the names they are reached by: `import rodjax.storage`."""
 
     def find_spec(self, fullname, path, target=None):
         package, _, name = fullname.rpartition(".")
-        if package == __name__ and name in _FOLDERS:
-            return importlib.machinery.ModuleSpec(fullname, self)
-        return None
+        place = _place(name) if package == __name__ else None
+        return place and importlib.machinery.ModuleSpec(fullname, self, origin=place)
 
     def create_module(self, spec):
-        name = spec.name.rpartition(".")[2]
-        module = importlib.import_module(f"{__name__}.{_FOLDERS[name]}.{name}")
+        module = importlib.import_module(spec.origin)
         self._own = module.__spec__
         return module
 
@@ -224,14 +236,15 @@ class _PublicModules(importlib.abc.MetaPathFinder, importlib.abc.Loader):
         module.__spec__ = self._own
 
 
-sys.meta_path.append(_PublicModules())
+sys.meta_path.append(_Modules())
 
 
 def __getattr__(name: str):
     """Public modules that the import of the package leaves out (HDF5 alone takes a tenth of it)."""
-    if name in _FOLDERS:
-        return importlib.import_module(f"{__name__}.{name}")
-    raise AttributeError(f"module 'rodjax' has no attribute {name!r}")
+    place = _place(name)
+    if place is None:
+        raise AttributeError(f"module 'rodjax' has no attribute {name!r}")
+    return importlib.import_module(place)
 
 
 def __dir__() -> list[str]:

@@ -70,6 +70,14 @@ def test_public_modules_are_imported_by_that_name_too():
         importlib.import_module("rodjax.simulate")
 
 
+def test_modules_are_found_where_they_were():
+    with pytest.warns(DeprecationWarning, match="rodjax.strains is rodjax.rods.strains now"):
+        module = importlib.import_module("rodjax.strains")
+    assert module.__spec__.name == "rodjax.rods.strains"
+    with pytest.warns(DeprecationWarning, match="rodjax.fit is rodjax.fitting.fit now"):
+        assert rx.fit.least_squares is rx.least_squares
+
+
 def test_unknown_name_is_refused_as_in_any_module():
     with pytest.raises(AttributeError, match="has no attribute 'simulate'"):
         _ = rx.simulate
