@@ -89,6 +89,7 @@ def draw(out: Path, base, before, after, history) -> None:
 def main(argv=None) -> int:
     """Optimise and report."""
     options = arguments(argv)
+    rx.keep_compiled()
     options.out.mkdir(parents=True, exist_ok=True)
     base = scene(PRESET, options.elements)
     if options.quick:

@@ -42,6 +42,7 @@ def replaced(base, parameters):
 def main(argv=None) -> int:
     """Fit and report."""
     options = recovery.arguments("fit_contact_law", __doc__, (200, 40), argv)
+    rx.keep_compiled()
     begin, end, count, seen = (BEGIN, 31.5, 35, 7) if options.quick else (BEGIN, END, 140, 28)
     observed = np.linspace(begin, end, seen + 1)[1:]
     preset = dataclasses.replace(PRESETS["timeline"], hold_at=None)

@@ -37,6 +37,7 @@ def replaced(base, parameters):
 def main(argv=None) -> int:
     """Fit and report."""
     options = recovery.arguments("fit_drag", __doc__, (200, 20), argv)
+    rx.keep_compiled()
     end, count, seen = (26.0, 130, 5) if options.quick else (28.0, 400, 10)
     observed = np.linspace(0.5 * end, end, seen)
     # nothing touches before 29 s

@@ -115,6 +115,7 @@ def milestones(new: rx.Scene, run: rx.Run):
 def main(argv=None) -> int:
     """Fit and report."""
     options = arguments(argv)
+    rx.keep_compiled()
     options.out.mkdir(parents=True, exist_ok=True)
     base = scene(PRESET, options.elements)
     if options.quick:

@@ -41,6 +41,7 @@ from rodjax.dynamics.fixed_rollout import rollout
 from rodjax.dynamics.run import Run, join_runs
 from rodjax.dynamics.step_control import StepControl
 from rodjax.equations.generalized_alpha import GeneralizedAlpha
+from rodjax.numerics.kept_programs import keep_compiled
 from rodjax.numerics.results import MESSAGES, Result
 from rodjax.rods.state import State
 from rodjax.scenes.scene import Scene
@@ -174,6 +175,7 @@ def simulate_and_store(
 def main(argv=None) -> int:
     """Run the example; the exit status is 0 if it succeeded."""
     options = arguments(argv)
+    keep_compiled()
     preset = PRESETS[options.preset]
     options.out.mkdir(parents=True, exist_ok=True)
     whole = scene(preset, options.elements, contact=not options.no_contact)

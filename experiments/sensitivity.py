@@ -25,6 +25,7 @@ from rodjax import energy, measures
 from rodjax.dynamics.adaptive import adaptive_rollout
 from rodjax.dynamics.consistency import start
 from rodjax.dynamics.step_control import StepControl
+from rodjax.numerics.kept_programs import keep_compiled
 from rodjax.numerics.results import Result
 
 # closer strands need closer points (see `Contact.points_per_segment`)
@@ -125,6 +126,7 @@ def draw(found: list[dict[str, Any]], out: Path) -> None:
 def main(argv=None) -> None:
     """Run, print, draw and write."""
     options = arguments(argv)
+    keep_compiled()
     options.out.mkdir(parents=True, exist_ok=True)
     preset = PRESETS["timeline"]
     found = []

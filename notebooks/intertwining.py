@@ -31,7 +31,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+import rodjax
+
 jax.config.update("jax_enable_x64", True)  # contact and inextensibility need double precision
+rodjax.keep_compiled()  # programs, for the next time that this notebook runs
 
 # %% [markdown]
 # ## The rod
@@ -42,7 +45,7 @@ jax.config.update("jax_enable_x64", True)  # contact and inextensibility need do
 # the origin. By default it can neither stretch nor shear (Kirchhoff's rod).
 
 # %%
-from rodjax.rods.rod import circular_section, straight_rod
+from rodjax import circular_section, straight_rod
 
 diameter = 3.14e-4  # [m], assumed
 seed = 0.05  # natural curvature about a_1 [1/m], assumed
@@ -74,8 +77,7 @@ print(
 # slides along $e_2$ and is held from 30 s on.
 
 # %%
-from rodjax.constraints.ends import Clamped, Slider, Switched, Turn
-from rodjax.inputs.schedules import PiecewiseLinear
+from rodjax import Clamped, PiecewiseLinear, Slider, Switched, Turn
 
 turns = PiecewiseLinear([0.0, 14.2, 114.2], -2 * np.pi * np.array([0.0, 4.0, 6.3]))
 right_end = Clamped(rotation=Turn(axis, turns))
@@ -88,7 +90,7 @@ left_end = Switched(Slider(axis), Clamped(), 30.0)
 # Eq. (13); the choice of contact segments and cut-off is that of the experiment.
 
 # %%
-from rodjax.interactions.loads import MorisonDrag
+from rodjax import MorisonDrag
 
 sys.path.append("../experiments")
 import example
@@ -104,10 +106,7 @@ contact = example.contact_law(example.PRESETS["timeline"])
 # the step, which takes longer than the run.
 
 # %%
-from rodjax.dynamics.adaptive import adaptive_rollout
-from rodjax.dynamics.consistency import start
-from rodjax.dynamics.step_control import StepControl
-from rodjax.scenes.scene import Scene
+from rodjax import Scene, StepControl, adaptive_rollout, start
 
 scene = Scene(rod, right_end, left_end, loads=(drag,), contact=contact)
 end_time = 26.0 if contact is None else 32.0  # strands would pass through each other without it

@@ -7,7 +7,7 @@ names of `units`; `least_squares` and `minimize` fit what was given to what was 
 `windows` where a motion forks; `sweep` maps a function over many scenes. `rotations` holds the
 quaternions that all of them speak in; `paper_scheme` and `semidiscrete` solve the same scene in two
 other ways, to check the first by. `jit` compiles a caller's own function as the library compiles
-its own.
+its own, `keep_compiled` keeps programs for later processes.
 
 Double precision is the caller's choice: `jax.config.update("jax_enable_x64", True)`.
 """
@@ -76,6 +76,7 @@ from rodjax.interactions.loads import PointLoad as PointLoad
 from rodjax.measuring.extrapolation import extrapolate as extrapolate
 from rodjax.measuring.run_check import check as check
 from rodjax.numerics.compilation import jit as jit
+from rodjax.numerics.kept_programs import keep_compiled as keep_compiled
 from rodjax.numerics.results import Interrupted as Interrupted
 from rodjax.numerics.results import ModelWarning as ModelWarning
 from rodjax.numerics.results import Result as Result
@@ -181,6 +182,7 @@ __all__ = [
     "extrapolate",
     "imperfect",
     "jit",
+    "keep_compiled",
     "least_squares",
     "measures",
     "minimize",

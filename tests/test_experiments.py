@@ -36,7 +36,7 @@ def _run(script: str, *arguments: str) -> str:
     path = os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")])
     run = subprocess.run(
         [sys.executable, str(ROOT / "experiments" / script), *arguments],
-        env=os.environ | {"PYTHONPATH": path},
+        env=os.environ | {"PYTHONPATH": path, "JAX_ENABLE_COMPILATION_CACHE": "0"},
         capture_output=True,
         text=True,
         check=False,
@@ -179,7 +179,7 @@ def test_notebook_runs():
     notebook = jupytext.read(folder / "intertwining.py")
     path = os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")])
     client = NotebookClient(notebook, timeout=600, resources={"metadata": {"path": str(folder)}})
-    client.execute(env=os.environ | {"PYTHONPATH": path})
+    client.execute(env=os.environ | {"PYTHONPATH": path, "JAX_ENABLE_COMPILATION_CACHE": "0"})
     shown = [
         output
         for cell in notebook.cells
