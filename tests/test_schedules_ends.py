@@ -2,6 +2,7 @@
 
 import dataclasses
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import jaxtyping
@@ -15,9 +16,11 @@ from rodjax import rotations
 from rodjax.constraints.ends import Clamped, Free, Pinned, Slider, Switched, Turn, increments, rates
 from rodjax.dynamics.adaptive import adaptive_rollout
 from rodjax.dynamics.consistency import start
+from rodjax.dynamics.stepping import switching
 from rodjax.inputs.schedules import Constant, Function, PiecewiseLinear, PiecewiseLinearRate, Smooth
 from rodjax.interactions.loads import PointLoad
 from rodjax.rods.rod import straight_rod
+from rodjax.scenes.placing import placing
 from rodjax.scenes.scene import Scene, projectors
 
 few = settings(max_examples=30, deadline=None)
@@ -253,6 +256,17 @@ def test_a_switch_in_single_precision_begins_at_its_rounded_time():
     scene = Scene(straight_rod(1.0, 3, UNIT_SECTION), Clamped(SHIFT), single)
     scene = dataclasses.replace(scene, first_end=jax.tree.map(jnp.float32, scene.first_end))
     np.testing.assert_array_equal(np.sort(scene.corners), [0.0, 2.0])
+
+
+def test_a_rod_in_single_precision_meets_a_switch_in_double():
+    single = lambda leaf: leaf.astype(jnp.float32) if eqx.is_inexact_array(leaf) else leaf
+    rod = jax.tree.map(single, straight_rod(1.0, 3, UNIT_SECTION))
+    scene = Scene(rod, Clamped(), Switched(Free(), Clamped(), 0.7))
+    state = dataclasses.replace(placing(scene), time=jnp.asarray(0.7, jnp.float32))
+    assert [t.dtype for t in scene.switch_times] == [jnp.float32]
+    assert bool(switching(scene, state))
+    double = Scene(straight_rod(1.0, 3, UNIT_SECTION), Clamped(), scene.last_end)
+    assert double.switch_times[0] is scene.last_end.at
 
 
 def test_increments_follow_the_schedules():

@@ -114,8 +114,10 @@ class Scene(eqx.Module):
 
     @property
     def switch_times(self) -> tuple[Float[Array, ""], ...]:
-        """Times at which a constraint changes; steps must end on them."""
-        return tuple(t for end in self.ends for t in end.switch_times)
+        """Times at which a constraint changes, as the rod's precision has them; steps end there."""
+        dtype = self.rod.position.dtype
+        own = lambda t: t if jnp.result_type(t) == dtype else jnp.asarray(t, dtype)
+        return tuple(own(t) for end in self.ends for t in end.switch_times)
 
     @property
     def schedules(self) -> list:
