@@ -226,9 +226,12 @@ class _Modules(importlib.abc.MetaPathFinder, importlib.abc.Loader):
     def find_spec(self, fullname, path, target=None):
         package, _, name = fullname.rpartition(".")
         place = _place(name) if package == __name__ else None
-        return place and importlib.machinery.ModuleSpec(fullname, self, origin=place)
+        if place is None:
+            return None
+        return importlib.machinery.ModuleSpec(fullname, self, origin=place)
 
-    def create_module(self, spec):
+    def create_module(self, spec: importlib.machinery.ModuleSpec):
+        assert spec.origin is not None
         module = importlib.import_module(spec.origin)
         self._own = module.__spec__
         return module

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 import rodjax as rx
+from rodjax.dynamics.adaptive import compile_adaptive_rollout
 
 
 @pytest.fixture(autouse=True)
@@ -200,7 +201,7 @@ SLIPS = {
     ),
     "chunk to compile": (
         "chunk: must be a whole number",
-        lambda: rx.adaptive.compile_adaptive_rollout(SCENE, STATE, chunk=0),
+        lambda: compile_adaptive_rollout(SCENE, STATE, chunk=0),
     ),
     "chosen steps in traced code": (
         "scene, state: adaptive_rollout cannot be traced; replay its times by rollout",

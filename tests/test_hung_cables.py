@@ -49,6 +49,7 @@ def test_a_chain_pulled_sideways():
     np.testing.assert_allclose(held.torque[0], 0.0, atol=1e-9)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("direction", [(1, 0, 0), (1, 1, 1)])
 def test_it_swings_to_where_it_hangs(direction):
     scene = hung(direction)

@@ -84,6 +84,7 @@ def test_uniform_curvature_is_no_imperfection_between_clamps():
     assert sideways(state) < 1e-6
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("first", "last", "critical", "crooked"),
     [

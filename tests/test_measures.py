@@ -263,6 +263,7 @@ def test_time_of_maximum():
     assert measures.time_of_maximum(stopped, jnp.array([0.0, 1.0, 3.0, 3.0, 3.0])) == 2.0
 
 
+@pytest.mark.slow
 def test_times_of_buckling_and_of_the_orthogonal_apex():
     """Torsional energy (t - 1.3)^2 below its peak; apex angle 0.6 t."""
     a_rod = straight(elements=8, section=rod.Section((1.0, 1.0, 1.0)))

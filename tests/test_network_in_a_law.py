@@ -3,6 +3,7 @@
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import pytest
 
 import rodjax as rx
 from rodjax.dynamics.stepping import step

@@ -18,7 +18,7 @@ from rodjax.scenes.placing import placing
 from rodjax.scenes.scene import Scene
 
 # multiples of eight: elements of equal length with the neck's ends on nodes
-GRIDS = (20, 64)
+GRIDS = (16, 32, 64)
 FINE = 128
 
 UNIFORM_MOMENT, NECKED_MOMENT = 8.986819, 7.531815

@@ -44,6 +44,7 @@ def test_windows_of_a_motion_are_the_motion(whole):
     assert float(missed(more)[0]) > 1e-10 and float(slope(more)) > 0
 
 
+@pytest.mark.slow
 def test_starts_have_derivatives(whole):
     scene, run = whole
     windows = cut(run, 2)

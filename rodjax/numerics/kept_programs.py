@@ -35,7 +35,8 @@ def keep_compiled(folder: str | os.PathLike | None = None) -> Path:
     from platformdirs import user_cache_path
 
     if folder is None:
-        folder = jax.config.jax_compilation_cache_dir or user_cache_path("rodjax", appauthor=False)
+        told = getattr(jax.config, "jax_compilation_cache_dir", None)
+        folder = told or user_cache_path("rodjax", appauthor=False)
     if not isinstance(folder, str | os.PathLike):
         raise ValueError(
             f"folder: give a path, or None for the user's cache folder; got {folder!r}"
