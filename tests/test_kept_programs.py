@@ -62,6 +62,6 @@ def test_a_folder_that_jax_was_told_stays(tmp_path):
         compilation_cache.reset_cache()
 
 
-def test_what_is_no_path_is_refused():
+def test_what_is_no_path_is_refused(unchecked):
     with pytest.raises(ValueError, match="^folder: give a path"):
         rx.keep_compiled(3)
