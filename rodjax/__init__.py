@@ -208,40 +208,59 @@ __all__ = [
 ]
 
 
+# modules that stood beside this file until 0.1, before there were folders
+_FLAT = """
+adaptive admissible anchored argument_types arguments balance batching block_tridiagonal bounds
+brief coarseness compilation consistency contact contact_checks contact_energy contact_forces
+contact_laws corners coupled curves descent drives eigenvalues ends extrapolation failure
+fingerprint fit fit_problem fit_results fixed_rollout framing generalized_alpha given_steps
+imperfection inertia linear_stability load_path loads marquardt newton numerical_damping
+object_reading object_writing observations overlap pace paper_equations paper_solvers passages
+path_following plain_trees priors probing recorder records regridding resolution results
+rigid_motions robust rod run run_check run_files scene schedules screening sealed_files section
+signs small_vibration start_checks state statics step_control step_equations stepping strains
+sweep_files tubes unstable_modes user_functions validation versions
+""".split()  # noqa: SIM905
+
+
 def _place(name: str) -> str | None:
-    """Where a module is that is imported as `rodjax.NAME`: a public one, or one of before 0.2."""
+    """Where a module is that is imported as `rodjax.NAME`: a public one, or one of `_FLAT`."""
     if name in _FOLDERS:
         return f"{__name__}.{_FOLDERS[name]}.{name}"
-    found = sorted(pathlib.Path(__path__[0]).glob(f"*/{name}.py")) if name.isidentifier() else []
-    if not found or name.startswith("_"):
+    if name not in _FLAT:
         return None
-    place = f"{__name__}.{found[0].parent.name}.{name}"
+    folder = next(pathlib.Path(__path__[0]).glob(f"*/{name}.py")).parent.name
+    place = f"{__name__}.{folder}.{name}"
     warnings.warn(f"rodjax.{name} is {place} now", DeprecationWarning, stacklevel=3)
     return place
 
 
-class _Modules(importlib.abc.MetaPathFinder, importlib.abc.Loader):
-    """Imports modules by the names they are reached by: `import rodjax.storage`."""
+class _Alias(importlib.abc.Loader):
+    """Loads a module under its second name: the one that there is."""
+
+    def __init__(self, place: str):
+        self.place = place
+
+    def create_module(self, spec):
+        module = importlib.import_module(self.place)
+        self.own = module.__spec__
+        return module
+
+    def exec_module(self, module):
+        module.__spec__ = self.own  # for which the import has put that of the second name
+
+
+class _Modules(importlib.abc.MetaPathFinder):
+    """Finds modules by the names they are reached by: `import rodjax.storage`."""
 
     def find_spec(self, fullname, path, target=None):
         package, _, name = fullname.rpartition(".")
         place = _place(name) if package == __name__ else None
-        if place is None:
-            return None
-        return importlib.machinery.ModuleSpec(fullname, self, origin=place)
-
-    def create_module(self, spec: importlib.machinery.ModuleSpec):
-        assert spec.origin is not None
-        module = importlib.import_module(spec.origin)
-        self._own = module.__spec__
-        return module
-
-    def exec_module(self, module):
-        # the import has given it the specification of its second name
-        module.__spec__ = self._own
+        return None if place is None else importlib.machinery.ModuleSpec(fullname, _Alias(place))
 
 
-sys.meta_path.append(_Modules())
+if not any(type(finder).__qualname__ == _Modules.__qualname__ for finder in sys.meta_path):
+    sys.meta_path.append(_Modules())
 
 
 def __getattr__(name: str):

@@ -31,12 +31,19 @@ APART = [("interactions", "constraints"), ("fitting", "measuring"), ("files", "m
 
 def needed(path: Path) -> set[str]:
     """Folders that a file imports from."""
-    nodes = [n for n in ast.walk(ast.parse(path.read_text())) if isinstance(n, ast.ImportFrom)]
-    modules = [node.module for node in nodes if node.module]
+    modules = []
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.ImportFrom):
+            assert node.level == 0, "imports are absolute"
+            modules += [f"{node.module}.{alias.name}" for alias in node.names]
+        elif isinstance(node, ast.Import):
+            modules += [alias.name for alias in node.names]
     return {m.split(".")[1] for m in modules if m.startswith("rodjax.")}
 
 
-def test_every_module_is_in_a_folder():
+def test_every_module_is_in_a_folder_under_a_name_of_its_own():
+    names = [p.stem for p in FOLDER.glob("*/*.py") if p.stem != "__init__"]
+    assert len(set(names)) == len(names)  # files name classes by module, not by folder
     assert {p.name for p in FOLDER.glob("*.py")} == {"__init__.py"}
     assert {p.parent.name for p in FOLDER.glob("*/*.py")} == set(ORDER)
 

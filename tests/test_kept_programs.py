@@ -3,8 +3,10 @@
 import os
 import subprocess
 import sys
+from pathlib import Path
 
 import jax
+import jaxlib.version
 import pytest
 from jax.experimental.compilation_cache import compilation_cache
 
@@ -46,16 +48,22 @@ def test_a_second_process_takes_what_the_first_compiled(tmp_path):
 
 @pytest.mark.skipif(sys.platform != "linux", reason="the folder is named otherwise")
 def test_the_default_is_the_users_cache_folder(tmp_path):
-    assert run(XDG_CACHE_HOME=str(tmp_path))[0] == str(tmp_path / "rodjax")
+    found = Path(run(XDG_CACHE_HOME=str(tmp_path))[0])
+    assert found.parent == tmp_path / "rodjax"
+    assert found.name.startswith(jaxlib.version.__version__)
 
 
-def test_a_folder_that_jax_was_told_stays(tmp_path):
+def test_what_jax_was_told_stays(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
     before = jax.config.jax_compilation_cache_dir
-    told = str(tmp_path / "told")
-    jax.config.update("jax_compilation_cache_dir", told)
     seconds = jax.config.jax_persistent_cache_min_compile_time_secs
     try:
-        assert str(rx.keep_compiled()) == told
+        for told in (str(tmp_path / "told"), "gs://bucket/programs"):
+            jax.config.update("jax_compilation_cache_dir", told)
+            jax.config.update("jax_persistent_cache_min_compile_time_secs", 7.0)
+            assert rx.keep_compiled() == told == jax.config.jax_compilation_cache_dir
+            assert jax.config.jax_persistent_cache_min_compile_time_secs == 7.0
+        assert not list(tmp_path.iterdir())
     finally:
         jax.config.update("jax_compilation_cache_dir", before)
         jax.config.update("jax_persistent_cache_min_compile_time_secs", seconds)

@@ -74,6 +74,8 @@ def test_modules_are_found_where_they_were():
     with pytest.warns(DeprecationWarning, match="rodjax.strains is rodjax.rods.strains now"):
         module = importlib.import_module("rodjax.strains")
     assert module.__spec__.name == "rodjax.rods.strains"
+    with pytest.raises(ModuleNotFoundError):  # would hide the function
+        importlib.import_module("rodjax.placing")
     with pytest.warns(DeprecationWarning, match="rodjax.fit is rodjax.fitting.fit now"):
         assert rx.fit.least_squares is rx.least_squares
 

@@ -132,6 +132,18 @@ class Sum(Nothing):
         return jnp.sum(distance)
 
 
+def over_the_last_axis(distance):
+    """Of some shapes only."""
+    return jnp.sum(distance, axis=-1, keepdims=True)
+
+
+class SharedDamping(Nothing):
+    """A law whose damping goes by the mean speed of all pairs."""
+
+    def repulsion(self, distance, approach, pair):
+        return self.force * (1 + jnp.mean(approach)) * jnp.ones_like(distance)
+
+
 class Shared(Nothing):
     """A law whose pairs share a force, or know the nearest of them."""
 
@@ -157,6 +169,8 @@ class Shared(Nothing):
         (Shared(1.0, jnp.max), 2 * D, "^law: `Shared.repulsion` gives .* alone"),
         (Shared(1.0, jnp.min), 2 * D, "^law: `Shared.repulsion` gives .* alone"),
         (Shared(1.0, jnp.median), 2 * D, "^law: `Shared.repulsion` gives .* alone"),
+        (Shared(1.0, over_the_last_axis), 2 * D, "^law: `Shared.repulsion` gives .* alone"),
+        (SharedDamping(1.0), 2 * D, "^law: `SharedDamping.repulsion` gives .* alone"),
         (rx.DebyeHueckel(1.0, 1e-5), 2 * D, "^law: DebyeHueckel gives no force"),
     ],
 )

@@ -81,6 +81,15 @@ def test_what_a_rod_bears_is_no_finding(name):
         rx.rollout(scene, rx.start(scene), TIMES)
 
 
+def test_an_end_released_at_the_end_is_not_looked_at():
+    held = BORNE["pressed"]
+    last = rx.Switched(rx.Clamped(), rx.Free(), END, displacement=held.last_end.displacement)
+    scene = rx.Scene(held.rod, held.first_end, last, held.loads)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        rx.rollout(scene, rx.start(scene), TIMES)
+
+
 @pytest.mark.slow
 def test_a_rod_pushed_through_space_is_at_rest_nowhere():
     push = rx.PointLoad(0, rx.Constant((0.0, 0.0, 50.0)))

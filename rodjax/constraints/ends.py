@@ -96,7 +96,10 @@ class AbstractEnd(eqx.Module):
 
     @property
     def switch_times(self) -> tuple:
-        """Times at which the projector changes."""
+        """Times at which the projector changes, for a `time` equal to them in its own precision.
+
+        So compare with `jnp.asarray(at, time.dtype)`.
+        """
         return ()
 
     @property

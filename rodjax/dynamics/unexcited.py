@@ -16,7 +16,7 @@ from rodjax.equations.rigid_motions import check_held
 from rodjax.equations.statics import Ramp, StaticEquations, imbalance, moving_weight
 from rodjax.equilibria.unstable_modes import count_below, neutral
 from rodjax.numerics.compilation import compiled
-from rodjax.numerics.results import ModelWarning
+from rodjax.numerics.results import ModelWarning, Result
 from rodjax.rods.state import State
 from rodjax.scenes.scene import Scene
 
@@ -28,6 +28,11 @@ _SAFE = 2.0
 def warn_if_unexcited(scene: Scene, run: Run) -> None:
     """ModelWarning where a run ends straight, with unstable modes (outside traced code)."""
     final = run.final
+    if int(run.result) != Result.SUCCESS:
+        return
+    # where a constraint changes at the end, the forces are of those before
+    if any(float(t) == float(final.time) for t in scene.switch_times):
+        return
     position, force = np.asarray(final.position), np.asarray(final.force)
     chord = position[-1] - position[0]
     length = np.sum(np.asarray(scene.rod.length))

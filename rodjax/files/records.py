@@ -32,8 +32,8 @@ def field_names(kind: type) -> list[str]:
 
 
 def home(module: str) -> str:
-    """Where files say that a class comes from: the package, whatever its folders."""
-    return "rodjax" if module.startswith("rodjax.") else module
+    """Where files say that a class comes from: its module, whatever the folder of that."""
+    return f"rodjax.{module.rpartition('.')[2]}" if module.startswith("rodjax.") else module
 
 
 def registry(classes: Iterable[type]) -> dict[str, type]:
