@@ -197,6 +197,7 @@ def test_a_straight_column_beyond_eulers_load_is_unstable():
     assert "nothing has excited" in finding.meaning
 
 
+@pytest.mark.slow
 def test_spacing_and_tail_of_a_contact_law():
     """Parallel strands 0.08 apart under Debye-Hueckel, w = 1/(1/d + 1/l) about."""
     rod, screening = hairpin(), 0.02
@@ -271,6 +272,7 @@ def test_the_energy_that_moved_is_that_of_all_parts():
     assert _moved(scene, resting) == pytest.approx(1.15 * np.sqrt(np.finfo(float).eps))
 
 
+@pytest.mark.slow
 def test_a_run_that_resolves_all_has_no_findings():
     turn = Turn(UP, Smooth([0.0, 1.0, 9.0], [0.0, 1.0, 1.0]))
     rod = straight_rod(1.0, 12, UNIT_SECTION, natural_curvature=(0.1, 0.0, 0.0))

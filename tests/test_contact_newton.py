@@ -86,6 +86,7 @@ def test_batches_of_right_sides_and_of_systems(bent):
     close(jax.jit(jax.vmap(root))(easy)[0], jnp.stack([expected[1][0]] * 2))
 
 
+@pytest.mark.slow
 @finer_and_coarser
 def test_a_held_derivative_leads_to_the_same_motion(bent):
     scene, state, _ = bent

@@ -79,6 +79,7 @@ COUNTS = 50 * 2 ** np.arange(5)
 MANY = 5 * COUNTS
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "kind",
     [

@@ -65,6 +65,7 @@ FAST = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["after a switch", *map(slow, list(FAST)[:-1])])
 def test_no_drive_is_exempt(name):
     found = run(FAST[name], 4)
@@ -98,6 +99,7 @@ def test_adaptive_steps_are_cut_to_what_the_drive_allows():
     assert float(measures.twist(found.final)) == pytest.approx(8.0, abs=1e-9)
 
 
+@pytest.mark.slow
 def test_twist_of_elements_beyond_half_a_turn():
     """12 elements hold 8 turns, 2/3 of one each, with the right twist and torque."""
     scene = shaft(8.0)

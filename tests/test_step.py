@@ -144,6 +144,7 @@ def test_start_names_what_has_no_answer():
         Scene(massless, Clamped(), loads=(LinearDrag(1.0, 1.0, 1.0), added))
 
 
+@pytest.mark.slow
 def test_element_wound_too_far_is_refused():
     """Near a full turn of an element its rotation vector would jump to the other side."""
     turns = lambda n: Turn(UP, Smooth([0.0, 1.0, 9.0], 2 * np.pi * np.asarray([0.0, n, n])))

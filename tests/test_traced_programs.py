@@ -67,16 +67,19 @@ def test_only_contact_traces_the_files_of_contact(programs):
         assert not files(programs[name]) & CONTACT, name
 
 
+@pytest.mark.slow
 def test_only_loads_trace_the_file_of_loads(programs):
     for name, text in programs.items():
         assert ("loads.py" in files(text)) == (name in ("gravity", "drag")), name
 
 
+@pytest.mark.slow
 def test_only_a_switch_traces_a_restart(programs):
     for name, text in programs.items():
         assert ("consistency.py" in files(text)) == (name == "switch"), name
 
 
+@pytest.mark.slow
 def test_every_part_adds_operations_of_its_own(programs):
     counts = {name: operations(text) for name, text in programs.items()}
     assert counts["bare"] > 100
