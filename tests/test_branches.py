@@ -48,6 +48,7 @@ def elastica(thrust, crooked=0.0):
     return ended(brentq(lambda m: ended(m)[1] - crooked, moments[k + 1], moments[k]))[2]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("thrust", [1.5, 3.0])
 @pytest.mark.parametrize("crooked", [1e-1, 1e-3])
 @pytest.mark.parametrize("load_steps", [1, 10])

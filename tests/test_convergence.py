@@ -118,6 +118,7 @@ def driven_off():
     return driven_scene(6, Section(STIFFNESS, mass=1.0, rotary_inertia=ROTARY, diameter=0.1))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("make", [released, *map(slow, (pulled_away, driven_off))])
 def test_every_step_from_the_first_on_is_second_order(make):
     """The largest error of all steps: a force that starts at first order shows in the first."""

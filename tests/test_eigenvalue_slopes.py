@@ -88,6 +88,7 @@ def test_a_rod_bent_to_a_circle():
     np.testing.assert_allclose(value_and_slopes(at)[1], differences, rtol=1e-5)
 
 
+@pytest.mark.slow
 def test_a_straight_rod_held_twice():
     """The rows of its ends depend on each other, and do so no longer when it is bent."""
     at = jnp.asarray([0.0, 1.0, 0.0])

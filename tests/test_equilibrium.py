@@ -188,6 +188,7 @@ def test_shear_compliance_is_timoshenkos():
     assert abs(order_of(1 / np.array(GRIDS), errors) - 2) < 0.1
 
 
+@pytest.mark.slow
 def test_axial_compliance_stretches_by_force_over_stiffness():
     scene = cantilever(32, compliance=(0.0, 0.0, 0.02), force=(0.0, 0.0, 3.0))
     state = solved(scene)
@@ -264,6 +265,7 @@ def test_a_failure_is_reported():
     assert np.all(np.isnan(state.position)) and np.all(np.isnan(state.force))
 
 
+@pytest.mark.slow
 def test_derivatives_agree_with_differences():
     scene = cantilever(12)
     start = placing(scene)
@@ -317,6 +319,7 @@ def test_bad_input_is_refused():
             equilibrium(given, state, **options)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "kind", ["jacfwd", *map(slow, ("vmap", "jacrev", "hessian", "vmap of grad"))]
 )

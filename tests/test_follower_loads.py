@@ -127,6 +127,7 @@ def test_theory_against_the_literature():
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("thrust", [0.0, 2.0, 10.0, 16.0])
 def test_frequencies_of_becks_column_below_flutter(thrust):
     scene, state = cantilever(thrust=thrust)

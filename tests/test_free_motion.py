@@ -59,6 +59,7 @@ def test_free_flight_conserves_momentum(tumbling):
     assert errors[1] / errors[2] == pytest.approx(4, rel=0.25)
 
 
+@pytest.mark.slow
 def test_spinning_rod_spins_on(tumbling):
     scene, _ = tumbling
     rod = straight_rod(1.0, 8, UNIT_SECTION)
@@ -99,6 +100,7 @@ def frequency(scene, state, expected, value):
     return phase / quarter
 
 
+@pytest.mark.slow
 def test_cantilever_frequency(cantilever):
     scene = cantilever
     bend, mass = float(scene.rod.stiffness[0, 0]), float(scene.rod.mass[0])

@@ -58,6 +58,7 @@ def test_it_swings_to_where_it_hangs(direction):
     np.testing.assert_allclose(state.position[-1], catenary(1.0), atol=2e-3)
 
 
+@pytest.mark.slow
 def test_upside_down_it_is_unstable():
     scene = hung((0, 0, 1), stiffness=(1.0, 1.0, 1.0), pull=(0.0, 0.0, 0.0))
     with pytest.warns(ModelWarning, match=r"2 unstable mode\(s\)"):

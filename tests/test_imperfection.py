@@ -105,6 +105,7 @@ def test_a_column_shortened_by_a_twentieth_buckles(first, last, critical, crooke
     assert sideways(state) > 0.1
 
 
+@pytest.mark.slow
 def test_a_cantilever_under_a_dead_thrust_bends_as_the_elastica():
     thrust = 1.2 * np.pi**2 / 4
     state = pressed(column(imperfect(straight(), 1e-2), CLAMP, FREE, thrust=thrust))

@@ -84,6 +84,7 @@ def assert_same(one, other):
     jax.tree.map(np.testing.assert_array_equal, one, other)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("passes", [1, 7])
 def test_calls_of_any_length_compute_the_same(whole, state, steady, passes):
     steady(passes)

@@ -112,6 +112,7 @@ def test_ledger_is_differentiable(slow_twist):
     np.testing.assert_allclose(found, (high - low) / 2e-3, rtol=1e-6)
 
 
+@pytest.mark.slow
 def test_gravity_pendulum_with_a_point_load():
     """A pinned rod falls, pulled at its end: no drive works, the load by force times way."""
     scene = hanging((1.0, 0.0, 0.0), [0.5, 0.0, 1.0])

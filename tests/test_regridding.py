@@ -152,6 +152,7 @@ def test_a_start_from_it_in_another_scene():
     np.testing.assert_array_equal(moving.position, new.position)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("straight", [False, True])
 def test_derivative_against_differences(straight):
     """In traced code; along the straight rod too, whose ends no small rotation brings apart."""

@@ -141,6 +141,7 @@ def test_the_first_knot_begins_what_follows():
     assert float(rate(at(2.0))) == pytest.approx(3.0, abs=1e-15)
 
 
+@pytest.mark.slow
 def test_nothing_moves_before_the_first_knot():
     knee = [[0.0, 0.0, 0.0], [0.0, 0.1, 0.2], [0.0, 0.1, 0.2]]
     rod = straight_rod(1.0, 8, UNIT_SECTION, direction=(1.0, 0.0, 0.0))

@@ -81,6 +81,7 @@ def test_what_a_rod_bears_is_no_finding(name):
         rx.rollout(scene, rx.start(scene), TIMES)
 
 
+@pytest.mark.slow
 def test_an_end_released_at_the_end_is_not_looked_at():
     held = BORNE["pressed"]
     last = rx.Switched(rx.Clamped(), rx.Free(), END, displacement=held.last_end.displacement)

@@ -81,6 +81,7 @@ def test_columns_have_two_modes_more_beyond_each_critical_thrust(ends, complianc
             assert int(found[0]) == modes, (factor, thrust)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", [jnp.float32, pytest.param(jnp.float64, marks=pytest.mark.slow)])
 def test_a_column_between_two_clamps_whose_parts_are_near(kind):
     """Near parts of a rod have modes counted otherwise; two clamps hold its length twice."""
