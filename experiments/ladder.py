@@ -26,7 +26,7 @@ import numpy as np
 from example import PRESETS, contact_law, drive, rod, scene
 
 import rodjax as rx
-from rodjax.equations.coupled import find_nearby
+from rodjax.equations.coupling import find_nearby
 from rodjax.equations.step_equations import StepEquations
 from rodjax.numerics import newton
 from rodjax.numerics.compilation import compiled

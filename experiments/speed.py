@@ -30,7 +30,7 @@ from rodjax.dynamics import consistency
 from rodjax.dynamics.adaptive import compile_adaptive_rollout
 from rodjax.dynamics.fixed_rollout import rollout
 from rodjax.dynamics.stepping import prepare, step
-from rodjax.equations.coupled import Nearby, find_nearby
+from rodjax.equations.coupling import Nearby, find_nearby
 from rodjax.equations.generalized_alpha import GeneralizedAlpha
 from rodjax.equations.step_equations import StepEquations
 from rodjax.interactions.contact import interpolate

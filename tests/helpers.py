@@ -15,7 +15,7 @@ from rodjax.constraints.ends import Clamped, Slider, Turn
 from rodjax.dynamics.consistency import start
 from rodjax.dynamics.run import Run
 from rodjax.dynamics.stepping import no_info, prepare, step
-from rodjax.equations.coupled import find_nearby
+from rodjax.equations.coupling import find_nearby
 from rodjax.equations.generalized_alpha import GeneralizedAlpha
 from rodjax.inputs.schedules import Smooth
 from rodjax.interactions import contact_laws as laws

@@ -10,10 +10,13 @@ import pytest
 from helpers import LAWS, slow
 
 from rodjax.dynamics.stepping import step
-from rodjax.equations.coupled import find_nearby
+from rodjax.equations import coupling
+from rodjax.equations.coupling import find_nearby
 from rodjax.equations.step_equations import StepEquations
+from rodjax.interactions import contact_levels, screening
 from rodjax.interactions.contact import Contact
 from rodjax.numerics import newton
+from rodjax.numerics.frontal import FrontSize
 from rodjax.numerics.results import Result
 
 # grids finer and coarser than the contact's 20 segments
@@ -39,6 +42,34 @@ def test_newton_system_is_the_exact_derivative(bent):
     np.testing.assert_allclose(
         equations.newton_increment(x), system.solve(-equations.residual(x)), atol=1e-13
     )
+
+
+@pytest.mark.parametrize("bent", [24, slow(14), slow(40)], indirect=True)
+def test_a_strip_is_solved_as_a_dense_system(bent, monkeypatch):
+    """Systems and transposed ones, held and not, on grids finer and coarser than the segments."""
+    scene, state, _ = bent
+    b = jnp.asarray(np.random.default_rng(1).normal(size=(state.position.shape[0], 9)))
+
+    def solutions():
+        near = find_nearby(scene, state.position)
+        equations = StepEquations(scene, state, jnp.asarray(1e-3), jnp.asarray(0.8), near)
+        system = equations.linearize(equations.guess())
+        front = system.coupling.levels[int(near.near.level) - 1].front
+        found = system.solve(b), system.solve_transpose(b), system.eliminate().solve(b)
+        return front, found, system.multiply(found[0])
+
+    front, expected, _ = solutions()
+    assert front is None
+    # however few joints are in contact, by a front, or as a dense system if it is too narrow
+    whole = contact_levels.levels(scene.contact, len(b) - 1)[-1]
+    size = FrontSize(24, 8)
+    for module in (screening, coupling):
+        monkeypatch.setattr(module, "levels", lambda *given: (whole._replace(front=size), whole))
+    front, found, product = solutions()
+    assert front == size
+    np.testing.assert_allclose(product, b, atol=1e-11)
+    for one, other in zip(found, expected, strict=True):
+        np.testing.assert_allclose(one, other, rtol=1e-9, atol=1e-11)
 
 
 @pytest.mark.slow

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from helpers import DIAMETER, LAWS, PAIR, hairpin
 
-from rodjax.equations.coupled import find_nearby
+from rodjax.equations.coupling import find_nearby
 from rodjax.interactions import contact as contact_of
 from rodjax.interactions import contact_forces as forces_of
 from rodjax.interactions import screening

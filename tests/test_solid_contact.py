@@ -12,7 +12,7 @@ from test_contact_potential import meeting, report
 
 import rodjax as rx
 from rodjax.equations import overlap
-from rodjax.equations.coupled import find_nearby
+from rodjax.equations.coupling import find_nearby
 from rodjax.interactions.contact_laws import PairProperties
 from rodjax.scenes.placing import placing
 

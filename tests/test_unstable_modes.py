@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from rodjax.constraints.ends import Clamped, Free, Pinned, Slider
-from rodjax.equations.coupled import find_nearby
+from rodjax.equations.coupling import find_nearby
 from rodjax.equations.statics import Ramp, StaticEquations, moving_weight
 from rodjax.equilibria.unstable_modes import count_below, neutral
 from rodjax.inputs.schedules import Constant

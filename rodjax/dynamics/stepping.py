@@ -10,7 +10,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from rodjax.dynamics.consistency import project
 from rodjax.equations import overlap
-from rodjax.equations.coupled import find_nearby
+from rodjax.equations.coupling import find_nearby
 from rodjax.equations.generalized_alpha import (
     GeneralizedAlpha,
     advance,

@@ -22,7 +22,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 from scipy.spatial import KDTree
 
-from rodjax.equations.coupled import Nearby
+from rodjax.equations.coupling import Nearby
 from rodjax.interactions.contact import Contact, Sites, along, interpolate, sites
 from rodjax.interactions.contact_energy import pair_energy
 from rodjax.interactions.contact_laws import PairProperties

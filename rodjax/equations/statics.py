@@ -17,7 +17,8 @@ from jaxtyping import Array, Float, Int
 
 from rodjax.constraints import ends
 from rodjax.equations.anchored import AnchoredSystem
-from rodjax.equations.coupled import CoupledSystem, couple, find_nearby
+from rodjax.equations.coupled import CoupledSystem
+from rodjax.equations.coupling import couple, find_nearby
 from rodjax.inputs.argument_types import Number
 from rodjax.interactions import contact_forces, screening
 from rodjax.interactions.loads import total_wrench

@@ -9,7 +9,8 @@ from jax import lax
 from jaxtyping import Array, Float
 
 from rodjax.constraints import ends
-from rodjax.equations.coupled import CoupledSystem, Coupling, Nearby, couple
+from rodjax.equations.coupled import CoupledSystem
+from rodjax.equations.coupling import Coupling, Nearby, couple
 from rodjax.equations.generalized_alpha import advance, coefficients, predicted_increment
 from rodjax.interactions import contact_forces, screening
 from rodjax.interactions.loads import total_wrench

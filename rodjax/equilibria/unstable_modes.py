@@ -19,7 +19,7 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
-from rodjax.equations.coupled import Coupling, couple, find_nearby
+from rodjax.equations.coupling import Coupling, couple, find_nearby
 from rodjax.equations.statics import StaticEquations, load_tangent
 from rodjax.equilibria.admissible import allowed, constrained, mean_bending
 from rodjax.numerics import rotations

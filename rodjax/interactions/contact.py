@@ -238,30 +238,6 @@ class Contact(eqx.Module):
         return (*[size for size in sizes if size < 0.7 * joints], joints)
 
 
-class Level(NamedTuple):
-    """What a solver of Newton's system is compiled for. Static numbers."""
-
-    joints: int  # in contact, at most
-    pairs: int  # of segments in the list
-    nodes: int | None  # between which the joints lie; None: of no use, joints are fewer
-
-
-def levels(contact: Contact, elements: int) -> tuple[Level, ...]:
-    """The sizes of `Contact` on a grid.
-
-    Contact couples the joints that it touches, or the nodes between which these lie, whichever
-    are fewer. Of nodes a stretch of joints has its share of the grid and up to four more.
-    """
-    finer = contact.segments > elements
-
-    def level(joints):
-        share = -(-joints * elements // contact.segments) + 16
-        nodes = min(elements + 1, share) if finer else None
-        return Level(joints, contact.room * joints, nodes)
-
-    return tuple(map(level, contact.sizes))
-
-
 class Sites(NamedTuple):
     """Where joints and points lie on the grid."""
 

@@ -10,8 +10,11 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
-from rodjax.interactions.contact import Contact, Sites, along, interpolate, levels
+from rodjax.interactions import contact_graph
+from rodjax.interactions.contact import Contact, Sites, along, interpolate
+from rodjax.interactions.contact_graph import Graph
 from rodjax.interactions.contact_laws import PairProperties
+from rodjax.interactions.contact_levels import levels
 from rodjax.numerics import newton
 from rodjax.numerics.batching import largest, only_where
 
@@ -27,8 +30,9 @@ class Near(NamedTuple):
     order: Int[Array, " j"]  # all joints, those involved first
     rank: Int[Array, " j"]  # place of each joint in `order`
     nodes: Int[Array, " nodes"] | None  # all, those between which such joints lie first; if needed
-    level: Int[Array, ""]  # 0: no pair; k: the k-th of `contact.levels` holds them
+    level: Int[Array, ""]  # 0: no pair; k: the k-th of `contact_levels.levels` holds them
     overflow: Bool[Array, ""]  # pairs or joints were left out
+    graph: Graph | None = None  # of the pairs, where a level has use for it
 
 
 def _separations(x):
@@ -110,11 +114,14 @@ def search(
 def _listed(near: Bool[Array, "g g"] | None, sizes, where: Sites, nodes: int) -> Near:
     """The list of the near pairs, or of none, and what they involve."""
     capacity, joints = sizes[-1].pairs, where.weight.shape[0]
+    fronts = [index for index, size in enumerate(sizes) if size.front is not None]
+    no_graph = contact_graph.nothing(capacity, nodes) if fronts else None
     if near is None:
         no_pair, zero = jnp.zeros((capacity,), jnp.int32), jnp.asarray(0, jnp.int32)
         every = jnp.arange(joints, dtype=jnp.int32)
         node = None if sizes[-1].nodes is None else jnp.arange(nodes, dtype=jnp.int32)
-        return Near(no_pair, no_pair, zero, every, every, node, zero, jnp.asarray(False))
+        no = jnp.asarray(False)
+        return Near(no_pair, no_pair, zero, every, every, node, zero, no, no_graph)
     first, second = (
         index.astype(jnp.int32) for index in jnp.nonzero(near, size=capacity, fill_value=0)
     )
@@ -134,10 +141,20 @@ def _listed(near: Bool[Array, "g g"] | None, sizes, where: Sites, nodes: int) ->
         between = between.add(touched.astype(jnp.int32)) > 0
         node, _, count_nodes = _first(between)
         fits = fits & (count_nodes <= holds([size.nodes for size in sizes]))
+    graph = None
+    if fronts:
+        pairs = (first, first + 1, second, second + 1), jnp.minimum(count, capacity)
+        couplings = lambda pairs: contact_graph.couplings(*pairs, where, nodes)
+        needed = ~jnp.any(fits[: fronts[0]])
+        graph = only_where(needed, couplings, lambda _: no_graph, pairs)
+        yes = jnp.asarray(True)
+        wide = [yes if size.front is None else graph.fits(size.front) for size in sizes]
+        fits = fits & jnp.stack(wide)
     overflow = ~fits[-1]
     level = jnp.where(overflow, len(sizes), jnp.argmax(fits) + 1)
     level = jnp.where(count == 0, 0, level).astype(jnp.int32)
-    return Near(first, second, jnp.minimum(count, capacity), order, rank, node, level, overflow)
+    count = jnp.minimum(count, capacity)
+    return Near(first, second, count, order, rank, node, level, overflow, graph)
 
 
 def _first(chosen: Bool[Array, " k"]) -> tuple[Int[Array, " k"], Int[Array, " k"], Int[Array, ""]]:

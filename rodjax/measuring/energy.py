@@ -16,7 +16,7 @@ from jax import lax
 from jaxtyping import Array, Float
 
 from rodjax.dynamics.run import Run
-from rodjax.equations.coupled import Nearby, find_nearby
+from rodjax.equations.coupling import Nearby, find_nearby
 from rodjax.equations.step_equations import free_balance
 from rodjax.interactions import contact_forces
 from rodjax.interactions.contact_energy import contact_energy as energy_of_contact

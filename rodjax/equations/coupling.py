@@ -1,0 +1,94 @@
+"""The derivative of the contact forces in a Newton system, pair by pair.
+
+In the matrix it is L K R^T: K the sum of the pairs' derivatives over the joints in contact, R^T
+reads the displacements of those joints, L puts forces on them into the force balances.
+"""
+
+from typing import NamedTuple
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from rodjax.interactions.contact import Contact, Sites, interpolate, sites, spread
+from rodjax.interactions.contact_forces import forces_and_derivative, gather, joints_of
+from rodjax.interactions.contact_levels import Level, levels
+from rodjax.interactions.screening import Near, search
+from rodjax.rods.balance import Scales
+from rodjax.rods.state import NodeMotion
+from rodjax.scenes.scene import Scene
+
+
+class Nearby(NamedTuple):
+    """Where the rod can touch itself, and the pairs found near each other."""
+
+    where: Sites
+    near: Near
+
+
+def find_nearby(scene: Scene, position: Float[Array, "nodes 3"], displacement=None) -> Nearby:
+    """Search for contact, before a motion of the expected displacement if one is given."""
+    assert scene.contact is not None
+    where = sites(scene.contact, scene.rod, scene.closed)
+    return Nearby(where, search(scene.contact, where, position, displacement))
+
+
+class Coupling(eqx.Module):
+    """Derivative of the contact forces, pair by pair, and where it stands in the matrix."""
+
+    where: Sites
+    near: Near
+    derivative: Float[Array, "q 4 4 3 3"]  # of minus the force by the joints, scaled
+    left: Float[Array, "nodes 9 3"]  # where a force on a node enters its block row
+    right: Float[Array, "nodes 9 3"]  # where a node's displacement stands in its block column
+    levels: tuple[Level, ...] = eqx.field(static=True)  # sizes with a solver
+
+    def transpose(self) -> "Coupling":
+        """The coupling of the transposed matrix."""
+        swapped = jnp.transpose(self.derivative, (0, 2, 1, 4, 3))
+        return Coupling(self.where, self.near, swapped, self.right, self.left, self.levels)
+
+    def multiply(self, b: Float[Array, "nodes 9"]) -> Float[Array, "nodes 9"]:
+        """L K R^T b, pair by pair."""
+        return self.push(interpolate(self.where, jnp.einsum("jrk,jr->jk", self.right, b)))
+
+    def push(self, moved: Float[Array, "j 3"]) -> Float[Array, "nodes 9"]:
+        """L K times displacements of the joints, pair by pair."""
+        index = jnp.stack(joints_of(self.near), 1)
+        force = jnp.einsum("qijkl,qjl->qik", self.derivative, moved[index])
+        force = gather(self.near, force, moved.shape[0])
+        return jnp.einsum("jrk,jk->jr", self.left, spread(self.where, force, len(self.left)))
+
+
+def couple(
+    contact: Contact | None,
+    nearby: Nearby | None,
+    motion: NodeMotion,
+    by_velocity: Float[Array, ""],
+    projectors: Float[Array, "2 6 6"],
+    scales: Scales,
+) -> tuple[Float[Array, "nodes 3"] | None, Coupling | None]:
+    """Contact forces on the nodes [N], and their derivative in a system as `balance.assemble`'s.
+
+    Velocities follow positions by the factor `by_velocity`. (None, None) without contact.
+    """
+    if contact is None or nearby is None:
+        return None, None
+    where, near = nearby
+    joints, velocities = (interpolate(where, x) for x in (motion.position, motion.velocity))
+    found = forces_and_derivative(contact, where, near, joints, velocities, by_velocity)
+    assert found.derivative is not None
+    nodes, dtype = motion.position.shape[0], motion.position.dtype
+    eye = jnp.zeros((9, 3), dtype).at[3:6].set(jnp.eye(3, dtype=dtype))
+    left = jnp.broadcast_to(eye, (nodes, 9, 3))
+    ends = jnp.stack([left[0], left[-1]]).at[:, 3:].add(-projectors[:, :, :3])
+    left = jnp.concatenate([ends[:1], left[1:-1], ends[1:]])
+    coupling = Coupling(
+        where,
+        near,
+        scales.length / scales.force * found.derivative,
+        left,
+        jnp.broadcast_to(jnp.roll(eye, -3, axis=0), left.shape),
+        levels(contact, nodes - 1),
+    )
+    return spread(where, found.force, nodes), coupling

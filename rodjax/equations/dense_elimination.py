@@ -1,0 +1,146 @@
+"""Strands in contact eliminated as a dense system: few joints, or any number of them.
+
+Of A + L K R^T the block-tridiagonal A is eliminated, which leaves a dense system for the
+displacements of the joints in contact (Woodbury's identity in the form that needs no inverse of K).
+Where the grid is coarser than the contact's segments, the nodes between which the joints lie take
+the joints' place: they are fewer. Its cost grows with the cube of what touches.
+"""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jax import lax
+from jaxtyping import Array, Float, Int
+
+from rodjax.equations.coupling import Coupling
+from rodjax.interactions.contact import interpolate
+from rodjax.interactions.contact_forces import joints_of
+from rodjax.interactions.contact_levels import Level
+from rodjax.numerics.block_tridiagonal import BlockTridiagonal, Factors
+
+
+class DenseElimination(eqx.Module):
+    """Factors of A, and of I + R^T A^-1 L K."""
+
+    coupling: Coupling
+    level: Level = eqx.field(static=True)
+    factors: Factors
+    lu: Float[Array, "k k"]
+    order: Int[Array, " k"]  # of the rows of the latter
+
+    @classmethod
+    def of(cls, blocks: BlockTridiagonal, coupling: Coupling, level: Level) -> "DenseElimination":
+        """Of blocks + coupling, whose joints in contact the level must hold."""
+        factors = blocks.factorize()
+        response = _response(factors, coupling, level)
+        eye = jnp.eye(level.unknowns, dtype=response.dtype)
+        lu, _, order = lax.linalg.lu(eye + response)
+        return cls(coupling, level, factors, lu, order)
+
+    def solve(self, b: Float[Array, "nodes 9"]) -> Float[Array, "nodes 9"]:
+        """Solution A^-1 (b - L K d), where d, displacements in contact, obey the dense system."""
+        free = self.factors.solve(b[:, :, None])[:, :, 0]
+        nodal = jnp.einsum("nrk,nr->nk", self.coupling.right, free)
+        right = _read(self.coupling, nodal[:, :, None], self.level)[self.order]
+        for lower in (True, False):
+            right = lax.linalg.triangular_solve(
+                self.lu, right, left_side=True, lower=lower, unit_diagonal=lower
+            )
+        pushed = self.coupling.push(_joints(self.coupling, right[:, 0], self.level))
+        return free - self.factors.solve(pushed[:, :, None])[:, :, 0]
+
+    def numbers(self) -> tuple[Float[Array, "nodes r"], Int[Array, " k"]]:
+        """What it holds besides the coupling, in rows for the nodes, and its order."""
+        nodes = self.factors.inverse.shape[0]
+        flat = self.lu.reshape(-1)
+        spread = jnp.pad(flat, (0, -flat.size % nodes)).reshape(nodes, -1)
+        parts = [part.reshape(nodes, -1) for part in jax.tree.leaves(self.factors)]
+        return jnp.concatenate([*parts, spread], 1), self.order
+
+    @classmethod
+    def from_numbers(cls, coupling, level, rows, order) -> "DenseElimination":
+        """What gave these numbers."""
+        size, k = 81, level.unknowns
+        parts = [rows[:, i * size : (i + 1) * size].reshape(-1, 9, 9) for i in range(3)]
+        share = -(-k * k // rows.shape[0])
+        flat = rows[:, 3 * size : 3 * size + share].reshape(-1)
+        lu = flat[: k * k].reshape(k, k)
+        return cls(coupling, level, Factors(*parts), lu, order[:k])
+
+
+def _rows(coupling: Coupling, level: Level) -> Float[Array, "nodes 3 k"]:
+    """Forces on all nodes by displacements of the joints in contact, or of their nodes."""
+    near, size = coupling.near, level.joints
+    rank = jnp.stack([near.rank[joint[: level.pairs]] for joint in joints_of(near)], 1)
+    # scattered by whole blocks, which is faster than by numbers
+    blocks = jnp.zeros((size, size, 3, 3), coupling.derivative.dtype)
+    index = (rank[:, :, None], rank[:, None, :])
+    blocks = blocks.at[index].add(coupling.derivative[: level.pairs], mode="drop")
+    weight = _weights(coupling, size)
+    if near.nodes is None:
+        columns = jnp.swapaxes(blocks, 1, 2).reshape(size, 9 * size)
+        return (weight @ columns).reshape(-1, 3, 3 * size)
+    chosen = near.nodes[: level.nodes]
+    weight = weight[chosen]
+    rows = jnp.einsum("na,abij,mb->nmij", weight, blocks, weight)
+    rows = jnp.swapaxes(rows, 1, 2).reshape(-1, 3, 3 * weight.shape[0])
+    return jnp.zeros((coupling.left.shape[0], *rows.shape[1:]), rows.dtype).at[chosen].set(rows)
+
+
+def _weights(coupling: Coupling, size: int) -> Float[Array, "nodes m"]:
+    """Interpolation weights of the first joints, those in contact among them, at the nodes."""
+    where, chosen = coupling.where, coupling.near.order[:size]
+    node = jnp.arange(coupling.left.shape[0], dtype=jnp.int32)[:, None, None]
+    at = node == where.nodes[chosen][None]
+    return jnp.sum(jnp.where(at, where.weight[chosen][None], 0.0), 2)
+
+
+def _read(
+    coupling: Coupling, nodal: Float[Array, "nodes 3 c"], level: Level
+) -> Float[Array, "k c"]:
+    """Displacements of the joints in contact, or of their nodes, from those of all nodes."""
+    where, near = coupling.where, coupling.near
+    if near.nodes is None:
+        chosen = near.order[: level.joints]
+        at, weight = where.nodes[chosen], where.weight[chosen]
+        # term by term, since XLA would store the gathered nodes of all terms
+        terms = [weight[:, j, None, None] * nodal[at[:, j]] for j in range(at.shape[1])]
+        found = sum(terms[1:], terms[0])
+    else:
+        found = nodal[near.nodes[: level.nodes]]
+    return found.reshape(-1, nodal.shape[2])
+
+
+def _joints(
+    coupling: Coupling, displacement: Float[Array, " k"], level: Level
+) -> Float[Array, "j 3"]:
+    """Displacements of all joints from those of the joints in contact, or of their nodes."""
+    given, near = displacement.reshape(-1, 3), coupling.near
+    if near.nodes is None:
+        every = jnp.zeros((near.order.shape[0], 3), given.dtype)
+        return every.at[near.order[: level.joints]].set(given)
+    nodal = jnp.zeros((coupling.left.shape[0], 3), given.dtype)
+    return interpolate(coupling.where, nodal.at[near.nodes[: level.nodes]].set(given))
+
+
+def _response(factors: Factors, coupling: Coupling, level: Level) -> Float[Array, "k k"]:
+    """R^T A^-1 L K: displacements in contact by the forces that such displacements cause."""
+    # A^-1 (L K), not (A^-1 L) K: a product of large matrices less
+    forces = _rows(coupling, level)
+    carried = jnp.concatenate([factors.inverse @ coupling.left, -factors.lower], 2)
+
+    def forward(previous, row):
+        carry, force = row
+        current = carry @ jnp.concatenate([force, previous])
+        return current, current
+
+    def backward(following, row):
+        upper, middle, right = row
+        current = middle - upper @ following
+        # only what is read is kept: all columns of a fine grid do not fit into the cache
+        return current, right.T @ current
+
+    zero = jnp.zeros((9, forces.shape[2]), forces.dtype)
+    _, middle = lax.scan(forward, zero, (carried, forces))
+    rows = (factors.upper, middle, coupling.right)
+    return _read(coupling, lax.scan(backward, zero, rows, reverse=True)[1], level)

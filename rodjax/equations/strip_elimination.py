@@ -1,0 +1,62 @@
+"""Strands in contact eliminated node by node along the strip that they form, see `frontal`."""
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Float, Int
+
+from rodjax.equations.coupling import Coupling
+from rodjax.interactions import contact_graph
+from rodjax.interactions.contact_graph import Graph
+from rodjax.interactions.contact_levels import Level
+from rodjax.numerics import frontal
+from rodjax.numerics.block_tridiagonal import BlockTridiagonal
+from rodjax.numerics.frontal import FrontalFactors
+
+# rows of a block with those first that contact touches, as among the columns (displacement, force
+# before, spin): (force, constraint, moment) for (constraint, force, moment); its own inverse
+_TOUCHED_FIRST = (3, 4, 5, 0, 1, 2, 6, 7, 8)
+
+
+class StripElimination(eqx.Module):
+    """Factors of the whole matrix by a front."""
+
+    factors: FrontalFactors
+
+    @classmethod
+    def of(cls, blocks: BlockTridiagonal, coupling: Coupling, level: Level) -> "StripElimination":
+        """Of blocks + coupling, whose nodes the front of the level must hold."""
+        parts = (_permuted(part) for part in (blocks.lower, blocks.diagonal, blocks.upper))
+        graph, size = _graph(coupling), level.front
+        assert size is not None
+        # ends take the directions that they hold out of the forces on their nodes
+        far = contact_graph.distant(
+            graph, coupling.where, coupling.derivative, coupling.left[:, 3:6]
+        )
+        return cls(frontal.factorize(BlockTridiagonal(*parts), far, graph.order, size))
+
+    def solve(self, b: Float[Array, "nodes 9"]) -> Float[Array, "nodes 9"]:
+        """Solution for one right side."""
+        return self.factors.solve(_permuted(b))
+
+    def solve_transpose(self, b: Float[Array, "nodes 9"]) -> Float[Array, "nodes 9"]:
+        """Solution of the transposed system for one right side."""
+        return _permuted(self.factors.solve_transpose(b))
+
+    def numbers(self) -> tuple[Float[Array, "nodes r"], Int[Array, " 0"]]:
+        """What it holds besides what follows from the coupling, see `DenseElimination`."""
+        return self.factors.rows, jnp.zeros((0,), jnp.int32)
+
+    @classmethod
+    def from_numbers(cls, coupling, level, rows, order) -> "StripElimination":
+        """What gave these numbers."""
+        return cls(FrontalFactors(_graph(coupling).order, rows, level.front))
+
+
+def _permuted(rows):
+    return rows[:, jnp.asarray(_TOUCHED_FIRST, jnp.int32)]
+
+
+def _graph(coupling: Coupling) -> Graph:
+    graph = coupling.near.graph
+    assert graph is not None
+    return graph

@@ -1,0 +1,50 @@
+"""The sizes of contact for which solvers of Newton's system are compiled."""
+
+from typing import NamedTuple
+
+import jax
+
+from rodjax.interactions.contact import Contact
+from rodjax.numerics.frontal import FrontSize
+
+
+class Level(NamedTuple):
+    """What a solver of Newton's system is compiled for. Static numbers."""
+
+    joints: int  # in contact, at most
+    pairs: int  # of segments in the list
+    nodes: int | None  # between which the joints lie; None: of no use, joints are fewer
+    front: FrontSize | None = None  # None: what touches is eliminated as a dense system
+
+    @property
+    def unknowns(self) -> int:
+        """Size of the dense system."""
+        return 3 * (self.joints if self.nodes is None else self.nodes)
+
+
+# dense systems up to this are cheaper than a front; a second front pays beyond the other
+_DENSE, _WIDE = 350, 750
+_FRONTS = (FrontSize(16, 6), FrontSize(24, 8))
+
+
+def levels(contact: Contact, elements: int) -> tuple[Level, ...]:
+    """The sizes of `Contact` on a grid, in the order in which they are tried.
+
+    Contact couples the joints that it touches, or the nodes between which these lie, whichever
+    are fewer. Of nodes a stretch of joints has its share of the grid and up to four more. Where
+    many can touch, they are eliminated by a front, if one is wide enough; on accelerators, whose
+    threads a front leaves idle, never.
+    """
+    finer = contact.segments > elements
+
+    def level(joints):
+        share = -(-joints * elements // contact.segments) + 16
+        nodes = min(elements + 1, share) if finer else None
+        return Level(joints, contact.room * joints, nodes)
+
+    dense = tuple(map(level, contact.sizes))
+    largest = dense[-1].unknowns
+    if contact.capacities or largest <= _DENSE or jax.default_backend() != "cpu":
+        return dense
+    fronts = _FRONTS if largest > _WIDE else _FRONTS[:1]
+    return (dense[0], *(dense[-1]._replace(front=size) for size in fronts), dense[-1])
