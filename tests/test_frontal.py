@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from rodjax.numerics.block_tridiagonal import BlockTridiagonal
-from rodjax.numerics.frontal import Distant, FrontSize, arrange, factorize
+from rodjax.numerics.frontal import Distant, FrontSize, Stencils, arrange, factorize
 
 NODES = 30
 SIZE = FrontSize(16, 6)
@@ -49,13 +49,13 @@ def system(pairs, dtype=float):
             dense[i, :3, j, :3] += factor[i] @ block
     matrix = BlockTridiagonal(*jnp.asarray(blocks, dtype))
     integer = lambda index: jnp.asarray(index, jnp.int32)
-    # in two layers, each with half of every block, and one that is not in use
-    layers = lambda index: integer(np.stack([index] * 3))
-    half = jnp.full((3, len(row)), 0.5, dtype)
-    value = jnp.asarray(distant, dtype)
-    given = Distant(
-        layers(row), layers(column), half, value, jnp.asarray(factor, dtype), integer(2)
-    )
+    # every point with two thirds on its node, a third there again, and a node that is not used
+    node = np.stack([np.minimum(np.arange(NODES + 1), NODES - 1)] * 3, 1)
+    weight = jnp.asarray(np.tile([2 / 3, 1 / 3, 1.0], (NODES + 1, 1)), dtype)
+    value, factor = jnp.asarray(distant, dtype), jnp.asarray(factor, dtype)
+    stencils = Stencils(integer(node), weight, integer(2))
+    count = integer(np.sum(row < NODES))
+    given = Distant(integer(row), integer(column), value, count, stencils, factor)
     return matrix, given, dense.reshape(9 * NODES, -1)
 
 

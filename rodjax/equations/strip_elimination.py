@@ -29,9 +29,9 @@ class StripElimination(eqx.Module):
         graph, size = _graph(coupling), level.front
         assert size is not None
         # ends take the directions that they hold out of the forces on their nodes
-        far = contact_graph.distant(
-            graph, coupling.where, coupling.derivative, coupling.left[:, 3:6]
-        )
+        left = coupling.left[:, 3:6]
+        given = coupling.where, coupling.near.count, coupling.derivative
+        far = contact_graph.distant(graph, *given, left)
         return cls(frontal.factorize(BlockTridiagonal(*parts), far, graph.order, size))
 
     def solve(self, b: Float[Array, "nodes 9"]) -> Float[Array, "nodes 9"]:

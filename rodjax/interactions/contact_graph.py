@@ -7,9 +7,18 @@ from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
 from rodjax.interactions.contact import Sites
-from rodjax.numerics.frontal import Distant, FrontSize, Order, arrange
+from rodjax.numerics.frontal import (
+    CHUNK,
+    Distant,
+    FrontSize,
+    Order,
+    Stencils,
+    arrange,
+    chunks,
+    in_chunks,
+)
 
-# joints that are coupled by two strands side by side, per near pair of their segments, and to spare
+# two joints that are coupled by strands side by side, per near pair of their segments, and to spare
 _COUPLED = 6
 _SEATS = 16  # that an order is tried with
 _BETWEEN = 4  # nodes between joints; of more than these no front is wide enough
@@ -23,7 +32,6 @@ class Graph(NamedTuple):
     second: Int[Array, " u"]
     count: Int[Array, ""]
     entry: Int[Array, "q 4 4"]  # where in this list two joints of a pair stand
-    layers: Int[Array, ""]  # of pairs of nodes for two joints: 1 where joints lie on nodes
     complete: Bool[Array, ""]  # whether the list holds all
 
     def fits(self, size: FrontSize) -> Bool[Array, ""]:
@@ -43,17 +51,13 @@ def couplings(joints: tuple[Array, ...], count: Int[Array, ""], where: Sites, no
     place = jnp.cumsum(flat.astype(jnp.int32), dtype=jnp.int32)
     total, place = place[-1], (place - 1).reshape(number, number)
     entry = jnp.where(used[:, None, None], place[row, column], capacity)
-    every = jnp.nonzero(flat, size=capacity, fill_value=0)[0].astype(jnp.int32)
-    first, second = every // number, every % number
-    weight = _stencils(where)[1]
-    slack = 100 * jnp.finfo(weight.dtype).eps
-    on_nodes = jnp.all(jnp.abs(weight[:, 1:]) < slack) & jnp.all(jnp.abs(weight[:, 0] - 1) < slack)
-    layers = jnp.where(on_nodes, 1, weight.shape[1] ** 2).astype(jnp.int32)
-    touching = _touching(where, nodes, first, second, total, layers)
+    unlisted = jnp.zeros((capacity,), jnp.int32)
+    first, second = (unlisted.at[entry].set(joint, mode="drop") for joint in (row, column))
+    touching = _touching(_stencils(where), nodes, first, second, total)
     # nodes between joints do not touch, but should be eliminated with those that do
     between = min(-(-(nodes - 1) // where.arc_length.shape[0]) - 1, _BETWEEN)
     order = arrange(touching, _SEATS, between)
-    return Graph(order, first, second, total, entry, layers, total <= capacity)
+    return Graph(order, first, second, total, entry, total <= capacity)
 
 
 def nothing(pairs: int, nodes: int) -> Graph:
@@ -62,47 +66,47 @@ def nothing(pairs: int, nodes: int) -> Graph:
     every = jnp.arange(nodes, dtype=jnp.int32)
     order = Order(every, every, every, zero, zero)
     entry = jnp.full((pairs, 4, 4), _COUPLED * pairs, jnp.int32)
-    return Graph(order, unlisted, unlisted, zero, entry, zero + 1, jnp.asarray(False))
+    return Graph(order, unlisted, unlisted, zero, entry, jnp.asarray(False))
 
 
 def distant(
     graph: Graph,
     where: Sites,
+    count: Int[Array, ""],
     derivative: Float[Array, "q 4 4 3 3"],
     factor: Float[Array, "nodes 3 3"],
 ) -> Distant:
-    """The derivative of pairs by their joints as one by nodes, the factor of a node its left."""
-    nodes = factor.shape[0]
-    size = graph.first.shape[0]
-    block = jnp.zeros((size, 3, 3), derivative.dtype)
-    block = block.at[graph.entry].add(derivative, mode="drop")
-    node, weight = _stencils(where)
-    given = jnp.arange(size, dtype=jnp.int32) < graph.count
-    row, column, product = [], [], []
-    for i in range(node.shape[1]):
-        for j in range(node.shape[1]):
-            row.append(jnp.where(given, node[graph.first, i], nodes))
-            column.append(node[graph.second, j])
-            product.append(weight[graph.first, i] * weight[graph.second, j])
-    stacked = (jnp.stack(part) for part in (row, column, product))
-    return Distant(*stacked, block, factor, graph.layers)
+    """The derivative of so many pairs by their joints as one by nodes, times a factor of a node."""
+
+    def added(chunk, block):
+        entry, part = in_chunks(graph.entry, chunk), in_chunks(derivative, chunk)
+        return block.at[entry].add(part, mode="drop")
+
+    block = jnp.zeros((graph.first.shape[0], 3, 3), derivative.dtype)
+    block = lax.fori_loop(0, chunks(count), added, block)
+    return Distant(graph.first, graph.second, block, graph.count, _stencils(where), factor)
 
 
-def _stencils(where: Sites) -> tuple[Int[Array, "j k"], Float[Array, "j k"]]:
-    """Nodes of every joint and their weights, the heaviest first."""
+def _stencils(where: Sites) -> Stencils:
+    """Nodes of the joints and their weights, the heaviest first: one, where joints lie on nodes."""
     order = jnp.argsort(-jnp.abs(where.weight), axis=1)
     take = lambda values: jnp.take_along_axis(values, order, axis=1)
-    return take(where.nodes), take(where.weight)
+    node, weight = take(where.nodes), take(where.weight)
+    slack = 100 * jnp.finfo(weight.dtype).eps
+    on_nodes = jnp.all(jnp.abs(weight[:, 1:]) < slack) & jnp.all(jnp.abs(weight[:, 0] - 1) < slack)
+    return Stencils(node, weight, jnp.where(on_nodes, 1, weight.shape[1]).astype(jnp.int32))
 
 
-def _touching(where, nodes, first, second, count, layers) -> Bool[Array, "n n"]:
+def _touching(stencils, nodes, first, second, count) -> Bool[Array, "n n"]:
     """Which nodes the joints of these pairs lie between."""
-    node, _ = _stencils(where)
-    stencil = node.shape[1]
-    used = jnp.arange(first.shape[0], dtype=jnp.int32) < count
 
-    def layer(i, touching):
-        row = jnp.where(used, node[first, i // stencil], nodes)
-        return touching.at[row, node[second, i % stencil]].set(True, mode="drop")
+    weighs = jnp.arange(stencils.node.shape[1], dtype=jnp.int32) < stencils.used
+    weighty = weighs[:, None] & weighs[None, :]
 
-    return lax.fori_loop(0, layers, layer, jnp.zeros((nodes, nodes), bool))
+    def added(chunk, touching):
+        used = chunk * CHUNK + jnp.arange(CHUNK, dtype=jnp.int32) < count
+        one, other = (stencils.node[in_chunks(joint, chunk)] for joint in (first, second))
+        row = jnp.where(used[:, None, None] & weighty[None], one[:, :, None], nodes)
+        return touching.at[row, other[:, None, :]].set(True, mode="drop")
+
+    return lax.fori_loop(0, chunks(count), added, jnp.zeros((nodes, nodes), bool))

@@ -135,19 +135,42 @@ def _widened(touching: Bool[Array, "n n"], by: int) -> Bool[Array, "n n"]:
     return touching
 
 
+# Lists of which only the first entries are in use are worked through in parts of this length.
+CHUNK = 256
+
+
+def chunks(count: Int[Array, ""]) -> Int[Array, ""]:
+    """Parts that hold so many entries."""
+    return (count + CHUNK - 1) // CHUNK
+
+
+def in_chunks(values: Array, chunk) -> Array:
+    """A part of a list, filled up by anything beyond its end."""
+    padded = jnp.pad(values, ((0, -len(values) % CHUNK), *[(0, 0)] * (values.ndim - 1)))
+    return lax.dynamic_slice_in_dim(padded, chunk * CHUNK, CHUNK)
+
+
+class Stencils(NamedTuple):
+    """The nodes between which points lie, and their weights."""
+
+    node: Int[Array, "m k"]
+    weight: Float[Array, "m k"]
+    used: Int[Array, ""]  # so many of the k have weight
+
+
 class Distant(NamedTuple):
     """What the matrix has between the first unknowns of nodes anywhere.
 
-    The factor of a row's node times weight times block; entries for the same two nodes are added,
-    and layers beyond those in use skipped.
+    Blocks between two points each, put on the nodes of both by their weights, times the factor of
+    the row's node; entries for the same two nodes are added.
     """
 
-    row: Int[Array, "layers k"]  # node; as many as there are nodes: none
-    column: Int[Array, "layers k"]
-    weight: Float[Array, "layers k"]
+    first: Int[Array, " k"]  # point whose rows; beyond `count` meaningless but valid, as the second
+    second: Int[Array, " k"]
     block: Float[Array, "k 3 3"]
+    count: Int[Array, ""]
+    stencils: Stencils
     factor: Float[Array, "n 3 3"]
-    layers: Int[Array, ""]  # in use
 
 
 class FrontalFactors(eqx.Module):
@@ -266,17 +289,26 @@ def _entries(blocks, distant, order, slots, size) -> Float[Array, "n 2 9 s"]:
     out = jnp.zeros((nodes, 2, BLOCK, size.unknowns), dtype)
     out = out.at[(*at, slots[other][:, None, :])].add(block)
 
-    def layer(i, far):
-        row, column = distant.row[i], distant.column[i]
-        present = row < nodes
-        inside = jnp.where(present, row, 0)
-        block = distant.weight[i][:, None, None] * (distant.factor[inside] @ distant.block)
-        turn, side, other, block = dealt(inside, column, block)
-        turn = jnp.where(present, turn, nodes)
-        return far.at[turn, side, windows[other]].add(block, mode="drop")
+    node, weight, stencil = distant.stencils
+
+    def added(chunk, far):
+        one, other = (in_chunks(point, chunk) for point in (distant.first, distant.second))
+        blocks = in_chunks(distant.block, chunk)
+        used = chunk * CHUNK + jnp.arange(CHUNK, dtype=jnp.int32) < distant.count
+
+        def layer(k, far):
+            i, j = k // stencil, k % stencil
+            row, column = node[one, i], node[other, j]
+            product = (weight[one, i] * weight[other, j])[:, None, None]
+            block = product * (distant.factor[row] @ blocks)
+            turn, side, later, block = dealt(row, column, block)
+            turn = jnp.where(used, turn, nodes)
+            return far.at[turn, side, windows[later]].add(block, mode="drop")
+
+        return lax.fori_loop(0, stencil**2, layer, far)
 
     windows = _windows(order, size)
     far = jnp.zeros((nodes, 2, size.window + 1, REACHING, REACHING), dtype)
-    far = lax.fori_loop(0, distant.layers, layer, far)
+    far = lax.fori_loop(0, chunks(distant.count), added, far)
     far = jnp.swapaxes(far, 2, 3).reshape(nodes, 2, REACHING, size.seated_from)
     return out.at[:, :, :REACHING, : size.seated_from].add(far)
