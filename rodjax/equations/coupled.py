@@ -128,6 +128,7 @@ def _touching(solved, apart):
 
 
 def _solved(system: CoupledSystem, level: Level, b):
+    assert system.coupling is not None
     eliminated = _elimination(level).of(system.blocks, system.coupling, level)
     if level.front is None:
         return eliminated.solve(b)
@@ -135,6 +136,7 @@ def _solved(system: CoupledSystem, level: Level, b):
 
 
 def _solved_transpose(system: CoupledSystem, level: Level, b):
+    assert system.coupling is not None
     transposed = system.transpose()
     if level.front is None:
         return _solved(transposed, level, b)

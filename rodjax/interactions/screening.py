@@ -143,10 +143,11 @@ def _listed(near: Bool[Array, "g g"] | None, sizes, where: Sites, nodes: int) ->
         fits = fits & (count_nodes <= holds([size.nodes for size in sizes]))
     graph = None
     if fronts:
-        pairs = (first, first + 1, second, second + 1), jnp.minimum(count, capacity)
-        couplings = lambda pairs: contact_graph.couplings(*pairs, where, nodes)
         needed = ~jnp.any(fits[: fronts[0]])
-        graph = only_where(needed, couplings, lambda _: no_graph, pairs)
+        listed = jnp.minimum(count, capacity)
+        couplings = lambda corners: contact_graph.couplings(corners, listed, where, nodes)
+        corners = first, first + 1, second, second + 1
+        graph = only_where(needed, couplings, lambda _: no_graph, corners)
         yes = jnp.asarray(True)
         wide = [yes if size.front is None else graph.fits(size.front) for size in sizes]
         fits = fits & jnp.stack(wide)
