@@ -45,9 +45,7 @@ def looped(side, first_end=CLAMPED, last_end=CLAMPED):
 def test_loop_through_itself_is_seen():
     scene = looped(1.0)
     one, other = (placing(looped(side)) for side in (1.0, -1.0))
-    change = float(passages.linking_number(scene, one)) - float(
-        passages.linking_number(scene, other)
-    )
+    change = float(passages.unexplained(scene, other, one))
     # not quite 2: the frames are carried along the curve, so the last one differs as well
     assert abs(change) == pytest.approx(2.0, abs=0.3)
     assert passages.passed_unseen(scene, one, other)
@@ -61,9 +59,7 @@ def test_turns_of_a_drive_are_no_passage():
     along = lambda angle: Turn((0.0, 1.0, 0.0), PiecewiseLinear([0.0, 1.0], [0.0, angle]))
     one, other = (placing(looped(side)) for side in (1.0, -1.0))
     later = dataclasses.replace(other, time=jnp.ones(()))
-    change = float(passages.linking_number(looped(1.0), other)) - float(
-        passages.linking_number(looped(1.0), one)
-    )
+    change = float(passages.unexplained(looped(1.0), one, other))
     driven = lambda turns: looped(1.0, first_end=Clamped(rotation=along(-2 * np.pi * turns)))
     assert not passages.passed_unseen(driven(change), one, later)
     assert passages.passed_unseen(driven(-change), one, later)

@@ -278,8 +278,6 @@ def compile_adaptive_rollout(
             starting.result()
         return
     control, dtype = StepControl(), state.position.dtype
-    if scene.contact is not None:
-        passages.linking_number(scene, state)
     state = prepare(scene, state)
     method = GeneralizedAlpha() if method is None else method
     memory, tolerances = begin(control, 1.0, dtype), tolerances_of(control, dtype)
@@ -287,6 +285,11 @@ def compile_adaptive_rollout(
     held, end = overlap.distances_held(scene), state.time
     out = _adaptive_chunk(scene, state, memory, end, method, tolerances, held, none, none, chunk)
     jax.block_until_ready(out.accepted)
+    # what chunks are begun and closed by, of the states that they have
+    if scene.contact is not None:
+        passages.unexplained(scene, state, out.state)
+    if scene.switch_times:
+        begin_constraint(scene, out.state, compiled_restart)
 
 
 def _placeholder(scene: Scene) -> State:

@@ -23,40 +23,47 @@ _ALLOWED = 0.5
 # Cosine beyond which the ends run side by side, where Wr of infinite extensions has no limit.
 _SIDE_BY_SIDE = -0.99
 
+# So far a projector may be off the identity where an end holds all of a rotation.
+_HELD = 1e-5
+
 
 @compiled
-def linking_number(scene: Scene, state: State) -> Float[Array, ""]:
-    """Lk = Tw + Wr of a state, extended straight at both ends unless the rod is a ring [turns]."""
-    return twist(state) + writhe_of(scene.closed, state)
+def unexplained(scene: Scene, before: State, after: State) -> Float[Array, ""]:
+    """Change of Lk = Tw + Wr between two states less what the drives have turned [turns].
+
+    Not a number where Lk is not prescribed: with an end that may turn or is turned about another
+    axis than its tangent, or with ends that run side by side. Wr is that of the rod extended
+    straight at both ends, unless it is a ring.
+    """
+    tangents = rotations.tangent_director(after.quaternion[jnp.asarray([0, -1])])
+    side_by_side = jnp.sum(tangents[0] * tangents[1]) < _SIDE_BY_SIDE
+    prescribed = ~side_by_side | scene.closed
+    eye = jnp.eye(3, dtype=tangents.dtype)[None]
+    for time in (before.time, after.time):
+        turning = projectors(scene, time)[:, 3:, 3:]
+        prescribed = prescribed & jnp.all(jnp.abs(turning - eye) < _HELD)
+    both = jax.tree.map(lambda *leaves: jnp.stack(leaves), before, after)
+    linking = jax.vmap(lambda state: twist(state) + writhe_of(scene.closed, state))(both)
+    change = linking[1] - linking[0]
+    for end, tangent, sign in zip(scene.ends, tangents, (-1.0, 1.0), strict=True):
+        if end.rotation is None:
+            continue
+        along = jnp.sum(end.rotation.axis.astype(tangent.dtype) * tangent)
+        prescribed = prescribed & (jnp.abs(along) >= 1 - 1e-3)
+        angle = end.rotation.angle(after.time) - end.rotation.angle(before.time)
+        change = change - sign * along * angle.astype(along.dtype) / (2 * np.pi)
+    return jnp.where(prescribed, change, jnp.nan)
 
 
 def passed_unseen(scene: Scene, before: State, after: State) -> bool:
     """Whether Lk changed otherwise than by the drives between two states (not in traced code).
 
-    It says no where Lk is not prescribed: without contact, with an end that may turn or is turned
-    about another axis than its tangent, or with ends that run side by side. A rod that swings
+    It says no without contact and where Lk is not prescribed, see `unexplained`. A rod that swings
     across the line beyond one of its ends, where its support would be, counts as passed too.
     """
     if scene.contact is None:
         return False
-    applied = 0.0
-    tangents = np.asarray(rotations.tangent_director(after.quaternion[jnp.asarray([0, -1])]))
-    if tangents[0] @ tangents[1] < _SIDE_BY_SIDE and not bool(scene.closed):
-        return False
-    for time in (before.time, after.time):
-        turning = np.asarray(projectors(scene, time))[:, 3:, 3:]
-        if not np.allclose(turning, np.eye(3)):
-            return False
-    for end, tangent, sign in zip(scene.ends, tangents, (-1, 1), strict=True):
-        if end.rotation is None:
-            continue
-        along = float(np.asarray(end.rotation.axis) @ tangent)
-        if abs(along) < 1 - 1e-3:
-            return False
-        angle = end.rotation.angle(after.time) - end.rotation.angle(before.time)
-        applied += sign * along * float(angle) / (2 * np.pi)
-    change = float(linking_number(scene, after)) - float(linking_number(scene, before))
-    return abs(change - applied) > _ALLOWED
+    return abs(float(unexplained(scene, before, after))) > _ALLOWED
 
 
 def first_passage(scene: Scene, states: State) -> int | None:
@@ -64,7 +71,7 @@ def first_passage(scene: Scene, states: State) -> int | None:
 
     Looked for by halving, once the last one tells.
     """
-    at = lambda index: jax.tree.map(lambda leaf: leaf[index], states)
+    at = lambda index: jax.tree.map(lambda leaf: np.asarray(leaf)[index], states)
     low, high = 0, states.time.shape[0] - 1
     if not passed_unseen(scene, at(low), at(high)):
         return None

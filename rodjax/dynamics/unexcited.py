@@ -7,6 +7,7 @@ stability of any state of rest, `equilibrium` counts the modes itself.
 
 import warnings
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -27,13 +28,14 @@ _SAFE = 2.0
 
 def warn_if_unexcited(scene: Scene, run: Run) -> None:
     """ModelWarning where a run ends straight, with unstable modes (outside traced code)."""
-    final = run.final
     if int(run.result) != Result.SUCCESS:
         return
+    # not `run.final`, whose slices compile one by one
+    final = jax.tree.map(lambda leaf: np.asarray(leaf)[-1], run.states)
     # where a constraint changes at the end, the forces are of those before
     if any(float(t) == float(final.time) for t in scene.switch_times):
         return
-    position, force = np.asarray(final.position), np.asarray(final.force)
+    position, force = final.position, final.force
     chord = position[-1] - position[0]
     length = np.sum(np.asarray(scene.rod.length))
     along = chord / np.maximum(np.linalg.norm(chord), np.finfo(chord.dtype).tiny)
@@ -44,12 +46,13 @@ def warn_if_unexcited(scene: Scene, run: Run) -> None:
         return
     stiffness = np.asarray(scene.rod.stiffness)
     thrust = max(float(np.max(-force[:, 2])), 0.0)  # along the tangents
-    twist = turns_of_elements(np.asarray(final.quaternion))[:, 2] / np.asarray(scene.rod.length)
+    twist = turns_of_elements(final.quaternion)[:, 2] / np.asarray(scene.rod.length)
     twist = twist - np.asarray(scene.rod.natural_curvature)[:, 2]
     torque = float(np.max(np.abs(stiffness[:, 2] * twist)))
     soft = np.min(stiffness[:, :2])
     if thrust * length**2 / soft + (0.5 * torque * length / soft) ** 2 < _SAFE:
         return
+    final = run.final
     try:
         check_held(scene, final, spin_free=True)
     except ValueError:  # it is free to move: at rest nowhere
