@@ -23,9 +23,8 @@ import numpy as np
 import scipy.interpolate
 import scipy.linalg
 from _memory import peak_mib
-from example import PRESETS, contact_law, scene
+from speed_scenes import Rung, ladder, plectoneme, ply
 
-from rodjax.constraints.ends import Clamped
 from rodjax.dynamics import consistency
 from rodjax.dynamics.adaptive import compile_adaptive_rollout
 from rodjax.dynamics.fixed_rollout import rollout
@@ -35,11 +34,9 @@ from rodjax.equations.generalized_alpha import GeneralizedAlpha
 from rodjax.equations.step_equations import StepEquations
 from rodjax.interactions.contact import interpolate
 from rodjax.interactions.contact_forces import joints_of, pair_forces
-from rodjax.interactions.loads import MorisonDrag
 from rodjax.numerics.block_tridiagonal import BlockTridiagonal
 from rodjax.numerics.compilation import compiled
 from rodjax.numerics.results import Result
-from rodjax.rods.rod import circular_section, curved_rod, straight_rod
 from rodjax.rods.state import State
 from rodjax.scenes.scene import Scene
 
@@ -63,43 +60,6 @@ def arguments(argv=None) -> argparse.Namespace:
     options.elements = options.elements or ([60] if options.quick else [100, 200, 400, 1000, 3200])
     options.repeats = options.repeats or (3 if options.quick else 15)
     return options
-
-
-def plectoneme(elements: int, contact: bool) -> Scene:
-    """Two strands 6 mm apart wound twice around each other and closed by a loop, at rest so.
-
-    Drag, contact law and section are those of the example's `timeline`.
-    """
-    radius, turns = 3e-3, 2.0
-    z = np.linspace(0, 1, 20001)
-    wound = 2 * np.pi * turns * 0.5 * (1 - np.cos(np.pi * z))
-    height = 0.49
-
-    def leg(height):
-        return np.stack([radius * np.cos(wound), radius * np.sin(wound), height * z], 1)
-
-    length = lambda curve: np.sum(np.linalg.norm(np.diff(curve, axis=0), axis=1))
-    for _ in range(20):  # fixed point: the whole curve is 1 m long
-        height *= 0.5 * (1 - np.pi * radius) / length(leg(height))
-    up = leg(height)
-    angle = np.linspace(0, np.pi, 1001)[1:, None]
-    outward = up[-1] * np.array([1.0, 1.0, 0.0])
-    ahead = np.array([0.0, 0.0, radius])
-    over = np.cos(angle) * outward + np.sin(angle) * ahead + np.array([0, 0, height])
-    down = (up * np.array([-1.0, -1.0, 1.0]))[::-1][1:]
-    points = np.concatenate([up, over, down])
-    arc = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
-    curve = scipy.interpolate.CubicSpline(arc[::20], points[::20])
-    preset = PRESETS["timeline"]
-    section = circular_section(preset.diameter, 1.25e7, 5e6, 1500.0)
-    rod = curved_rod(curve, 1.0, elements, section)
-    return Scene(
-        rod,
-        Clamped(),
-        Clamped(),
-        (MorisonDrag(1000.0, 0.1, 0.01),),
-        contact_law(preset) if contact else None,
-    )
 
 
 def interleaved(jobs: dict[str, Any], repeats: int) -> dict[str, np.ndarray]:
@@ -235,29 +195,32 @@ def contact_counts(whole: Scene, state: State, nearby: Nearby) -> dict[str, int]
     }
 
 
-class Rung(NamedTuple):
-    """A scene of the ladder of what a scene can need."""
-
-    name: str
-    scene: Scene
-
-
-def ladder(elements: int) -> list[Rung]:
-    """From a clamped straight rod without anything to the full example."""
-    preset = PRESETS["timeline"]
-    whole = scene(preset, elements)
-    section = circular_section(preset.diameter, 1.25e7, 5e6, 1500.0)
-    bare = straight_rod(1.0, elements, section, direction=(0.0, 1.0, 0.0))
-    no_rotary = eqx.tree_at(
-        lambda r: r.rotary_inertia, bare, None, is_leaf=lambda leaf: leaf is None
+def ply_costs(elements: int, repeats: int) -> dict[str, Any]:
+    """Seconds of a Newton increment, evaluation and solve, of strands that touch all along."""
+    whole = ply(elements)
+    state = consistency.start(whole)
+    find = compiled(lambda scene, s: find_nearby(scene, s.position))
+    nearby = find(whole, state)
+    equations = StepEquations(
+        whole, state, state.time + STEP, GeneralizedAlpha().spectral_radius, nearby
     )
-    return [
-        Rung("clamped-free rod, no rotary inertia", Scene(no_rotary, Clamped())),
-        Rung("with rotary inertia", Scene(bare, Clamped())),
-        Rung("with drag", Scene(bare, Clamped(), loads=whole.loads)),
-        Rung("with drive, slider and neck", scene(preset, elements, contact=False)),
-        Rung("with contact", whole),
-    ]
+    x = equations.guess()
+    blocks = compiled(lambda e, x: e.linearize(x).blocks)(equations, x)
+    parts = {
+        "block_solve": (compiled(lambda a, b: a.solve(b)), blocks, jnp.ones_like(x)),
+        "increment": (compiled(lambda e, x: e.newton_increment(x)), equations, x),
+        "search": (find, whole, state),
+    }
+    jobs = {
+        name: lambda f=f, rest=rest: jax.block_until_ready(f(*rest))
+        for name, (f, *rest) in parts.items()
+    }
+    seconds = interleaved(jobs, repeats)
+    assert np.all(np.isfinite(jobs["increment"]()))
+    found: dict[str, Any] = {name: float(np.median(s)) for name, s in seconds.items()}
+    ratio = np.median(seconds["increment"] / seconds["block_solve"])
+    found["increment_over_block_solve"] = float(ratio)
+    return found | contact_counts(whole, state, nearby)
 
 
 def compile_costs(rung: Rung, repeats: int) -> dict[str, Any]:
@@ -277,6 +240,7 @@ def compile_costs(rung: Rung, repeats: int) -> dict[str, Any]:
         found[f"{name}_trace_seconds"] = traced - began
         found[f"{name}_compile_seconds"] = time.perf_counter() - traced
         found[f"{name}_operations"] = lowered.as_text().count(" = ")
+        found[f"{name}_fusions"] = program.as_text().count(" fusion(")
         return program
 
     program = compile_it("step", step, rung.scene, state, stop)
@@ -350,10 +314,27 @@ def main(argv=None) -> None:
                 f"{title.replace('_', ' ')}: cost of an iteration grows as elements to the power"
                 f" {slopes[title]:.2f} from {large[0]} to {large[-1]}"
             )
+    plies: dict[int, dict] = {}
+    print(
+        f"\n{'ply':>8} {'solve':>9} {'increment':>9} {'search':>9} {'increment/solve':>15}   [ms]"
+    )
+    for elements in options.elements:
+        found = plies[elements] = ply_costs(elements, options.repeats)
+        times = " ".join(f"{1e3 * found[k]:9.3f}" for k in ("block_solve", "increment", "search"))
+        ratio = found["increment_over_block_solve"]
+        print(f"{elements:8d} {times} {ratio:11.2f}   {found['pairs']} pairs", flush=True)
+        jax.clear_caches()
+    large = [n for n in plies if n >= 200]
+    if len(large) > 1:
+        slopes["ply"] = slope(large, [plies[n]["increment"] for n in large])
+        print(
+            f"ply: cost of an increment grows as elements to the power {slopes['ply']:.2f}"
+            f" from {large[0]} to {large[-1]}"
+        )
     rungs = ladder(40 if options.quick else 200)
     compiled = []
     print(
-        f"\n{'scene':36} {'operations':>10} {'trace':>6} {'compile':>8} {'rollout':>8}"
+        f"\n{'scene':36} {'operations':>10} {'fusions':>8} {'trace':>6} {'compile':>8} {'rollout':>8}"
         f" {'adaptive':>8} {'start':>6} [s] {'step':>8} [ms]"
     )
     for rung in rungs[:1] if options.quick else rungs:
@@ -361,7 +342,8 @@ def main(argv=None) -> None:
         compiled.append(found)
         rollout = found["rollout_trace_seconds"] + found["rollout_compile_seconds"]
         print(
-            f"{rung.name:36} {found['step_operations']:10d} {found['step_trace_seconds']:6.2f}"
+            f"{rung.name:36} {found['step_operations']:10d} {found['step_fusions']:8d}"
+            f" {found['step_trace_seconds']:6.2f}"
             f" {found['step_compile_seconds']:8.2f} {rollout:8.2f} {found['adaptive_seconds']:8.2f}"
             f" {found['start_seconds']:6.2f}     {1e3 * found['step_seconds']:8.3f}",
             flush=True,
@@ -378,6 +360,7 @@ def main(argv=None) -> None:
             },
         },
         "iteration_seconds": rows,
+        "ply_seconds": plies,
         "slope": slopes,
         "compilation": compiled,
         "peak_resident_mebibytes": peak,

@@ -51,9 +51,11 @@ class Contact(eqx.Module):
             vanishes by itself before (`AbstractLaw.extent`).
         exclusion: points closer than this along the rod never interact [m]; default 1.5 cutoff.
             Must not be less than the cut-off, or a straight rod would repel itself.
-        capacities: numbers of joints in contact for which a solver is compiled, increasing; the
-            smallest that fits is used at each step, and a run that outgrows the largest says so.
-            Default: 64, 128 and on by doubling up to all joints. Under `vmap` give one.
+        capacities: numbers of joints in contact for which a dense solver is compiled, increasing;
+            the smallest that fits is used at each step, and a run that outgrows the largest says
+            so. Default: 64, and all joints; between them, where there are more than a hundred, a
+            solver for strips of strands whose cost is linear in the elements (`contact_levels`;
+            dense ones by doubling where JAX's default backend is no CPU). Under `vmap` give one.
         pairs_per_segment: capacity of the list of near pairs, per joint of `capacities`. Default:
             what two strands side by side need, by the rod of the scene; 4 where its length or the
             cut-off is not known, as in traced code.
