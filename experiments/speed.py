@@ -334,8 +334,8 @@ def main(argv=None) -> None:
     rungs = ladder(40 if options.quick else 200)
     compiled = []
     print(
-        f"\n{'scene':36} {'operations':>10} {'fusions':>8} {'trace':>6} {'compile':>8} {'rollout':>8}"
-        f" {'adaptive':>8} {'start':>6} [s] {'step':>8} [ms]"
+        f"\n{'scene':36} {'operations':>10} {'fusions':>8} {'trace':>6} {'compile':>8}"
+        f" {'rollout':>8} {'adaptive':>8} {'start':>6} [s] {'step':>8} [ms]"
     )
     for rung in rungs[:1] if options.quick else rungs:
         found = compile_costs(rung, options.repeats)
