@@ -151,7 +151,8 @@ def _refined(solve, multiply, b):
     """
     x = solve(b)
     left = b - multiply(x)
-    lost = jnp.max(jnp.abs(left)) > jnp.finfo(b.dtype).eps ** 0.4 * jnp.max(jnp.abs(b))
+    size = jnp.maximum(jnp.max(jnp.abs(b)), jnp.max(jnp.abs(x)))
+    lost = jnp.max(jnp.abs(left)) > jnp.finfo(b.dtype).eps ** 0.4 * size
     return jnp.where(lost, jnp.nan, x + solve(left))
 
 

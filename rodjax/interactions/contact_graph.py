@@ -15,7 +15,8 @@ from rodjax.numerics.frontal import (
     Stencils,
     arrange,
     chunks,
-    in_chunks,
+    part,
+    whole_chunks,
 )
 
 # two joints that are coupled by strands side by side, per near pair of their segments, and to spare
@@ -78,9 +79,12 @@ def distant(
 ) -> Distant:
     """The derivative of so many pairs by their joints as one by nodes, times a factor of a node."""
 
+    # beyond the list's end zeros are added to its first entry
+    listed = whole_chunks(graph.entry), whole_chunks(derivative)
+
     def added(chunk, block):
-        entry, part = in_chunks(graph.entry, chunk), in_chunks(derivative, chunk)
-        return block.at[entry].add(part, mode="drop")
+        entry, values = (part(x, chunk) for x in listed)
+        return block.at[entry].add(values, mode="drop")
 
     block = jnp.zeros((graph.first.shape[0], 3, 3), derivative.dtype)
     block = lax.fori_loop(0, chunks(count), added, block)
@@ -99,13 +103,14 @@ def _stencils(where: Sites) -> Stencils:
 
 def _touching(stencils, nodes, first, second, count) -> Bool[Array, "n n"]:
     """Which nodes the joints of these pairs lie between."""
-
     weighs = jnp.arange(stencils.node.shape[1], dtype=jnp.int32) < stencils.used
     weighty = weighs[:, None] & weighs[None, :]
 
+    listed = whole_chunks(first), whole_chunks(second)
+
     def added(chunk, touching):
         used = chunk * CHUNK + jnp.arange(CHUNK, dtype=jnp.int32) < count
-        one, other = (stencils.node[in_chunks(joint, chunk)] for joint in (first, second))
+        one, other = (stencils.node[part(joint, chunk)] for joint in listed)
         row = jnp.where(used[:, None, None] & weighty[None], one[:, :, None], nodes)
         return touching.at[row, other[:, None, :]].set(True, mode="drop")
 

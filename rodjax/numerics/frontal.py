@@ -144,10 +144,14 @@ def chunks(count: Int[Array, ""]) -> Int[Array, ""]:
     return (count + CHUNK - 1) // CHUNK
 
 
-def in_chunks(values: Array, chunk) -> Array:
-    """A part of a list, filled up by anything beyond its end."""
-    padded = jnp.pad(values, ((0, -len(values) % CHUNK), *[(0, 0)] * (values.ndim - 1)))
-    return lax.dynamic_slice_in_dim(padded, chunk * CHUNK, CHUNK)
+def whole_chunks(values: Array) -> Array:
+    """A list filled up with zeros to whole parts."""
+    return jnp.pad(values, ((0, -len(values) % CHUNK), *[(0, 0)] * (values.ndim - 1)))
+
+
+def part(values: Array, chunk) -> Array:
+    """One of the parts."""
+    return lax.dynamic_slice_in_dim(values, chunk * CHUNK, CHUNK)
 
 
 class Stencils(NamedTuple):
@@ -290,10 +294,10 @@ def _entries(blocks, distant, order, slots, size) -> Float[Array, "n 2 9 s"]:
     out = out.at[(*at, slots[other][:, None, :])].add(block)
 
     node, weight, stencil = distant.stencils
+    listed = [whole_chunks(x) for x in (distant.first, distant.second, distant.block)]
 
     def added(chunk, far):
-        one, other = (in_chunks(point, chunk) for point in (distant.first, distant.second))
-        blocks = in_chunks(distant.block, chunk)
+        one, other, blocks = (part(x, chunk) for x in listed)
         used = chunk * CHUNK + jnp.arange(CHUNK, dtype=jnp.int32) < distant.count
 
         def layer(k, far):
