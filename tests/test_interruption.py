@@ -138,17 +138,28 @@ def test_ctrl_c_in_on_chunk_keeps_the_chunk_once(state):
 def test_a_signal_stops_a_run(state, monkeypatch):
     """Scripts end by it: no `except Exception` holds it."""
     long, call, calls = jnp.linspace(0.0, 1e4, 1_000_001)[1:], Pace.call, []
+    stopped = threading.Event()
+
+    def press():
+        # again where Python lost it, as in a destructor
+        if not stopped.wait(0.1):
+            os.kill(os.getpid(), signal.SIGINT)
+        while not stopped.wait(20.0):
+            os.kill(os.getpid(), signal.SIGINT)
 
     def counted(pace, loop):
         out = call(pace, loop)
         calls.append(out)
         if len(calls) == 2:  # the first call's steps are kept by now
-            threading.Timer(0.1, os.kill, (os.getpid(), signal.SIGINT)).start()
+            threading.Thread(target=press).start()
         return out
 
     monkeypatch.setattr(Pace, "call", counted)
-    with pytest.raises(KeyboardInterrupt) as stop:
-        rollout(SCENE, state, long, throw=False)
+    try:
+        with pytest.raises(KeyboardInterrupt) as stop:
+            rollout(SCENE, state, long, throw=False)
+    finally:
+        stopped.set()
     assert not isinstance(stop.value, Exception)
     partial = stop.value.partial
     assert 1 < len(partial.times) < len(long)

@@ -4,14 +4,12 @@ A rotation is known modulo whole turns only: what an end turns in one step must 
 turn, else the step would find it turned by less, or not at all, and be none the wiser.
 """
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from rodjax.constraints import ends
 from rodjax.numerics import rotations
-from rodjax.numerics.compilation import compiled
 from rodjax.rods.state import State
 from rodjax.scenes.scene import Scene, projectors
 
@@ -20,9 +18,6 @@ LARGEST_TURN = np.pi * (1 - 1e-6)
 
 # How far an end may be off its schedule when a run has ended, in element lengths and radians.
 _ASTRAY = 1e-3
-
-# So far two projectors may differ and be the same.
-_SAME = 1e-5
 
 
 def too_fast(
@@ -59,34 +54,31 @@ def astray(scene: Scene, states: State, allowed: float) -> bool:
     times = np.asarray(states.time)
     switches = sorted(float(t) for t in scene.switch_times if times[0] < t < times[-1])
     marks = [-np.inf, *switches, np.inf]
-    at = lambda index: jax.tree.map(lambda leaf: np.asarray(leaf)[index], states)
     for before, after in zip(marks[:-1], marks[1:], strict=True):
         inside = np.flatnonzero((times >= before) & (times <= after)).tolist()
-        if len(inside) > 1:
-            off = float(_off(scene, at(inside[0]), at(inside[-1])))
-            if off > _ASTRAY + allowed:
-                return True
+        if len(inside) > 1 and _off(scene, states, inside[0], inside[-1]) > _ASTRAY + allowed:
+            return True
     return False
 
 
-@compiled
-def _off(scene: Scene, first: State, last: State) -> Float[Array, ""]:
-    """How far an end is off its schedule between two states, see `_ASTRAY`."""
-    start, stop = first.time, last.time
+def _off(scene: Scene, states: State, first: int, last: int) -> float:
+    """How far an end is off its schedule between two saved states, see `_ASTRAY`."""
+    # not one program, which every new scene would compile anew
+    start, stop = states.time[first], states.time[last]
     # the projector for the last step, not for one that would begin at its end
     late = jnp.nextafter(stop, start)
-    early, late = projectors(scene, start), projectors(scene, late)
-    worst = jnp.zeros((), first.position.dtype)
+    held = np.asarray(projectors(scene, start)), np.asarray(projectors(scene, late))
+    length, worst = float(np.mean(np.asarray(scene.rod.length))), 0.0
     for k, index, end in zip((0, 1), (0, -1), scene.ends, strict=True):
-        held = early[k]
-        unchanged = jnp.all(jnp.abs(held - late[k]) < _SAME)
-        wanted = ends.increments(end, start, stop, first.quaternion[index])
-        shift = held[:3, :3] @ (last.position[index] - first.position[index] - wanted[:3])
-        apart = jnp.linalg.norm(shift) / jnp.mean(scene.rod.length)
-        turning = jnp.all(jnp.abs(held[3:, 3:] - jnp.eye(3, dtype=held.dtype)) < _SAME)
-        there = rotations.multiply(first.quaternion[index], rotations.exponential(wanted[3:]))
-        turn = rotations.multiply(rotations.conjugate(there), last.quaternion[index])
-        angle = 2 * jnp.arctan2(jnp.linalg.norm(turn[1:]), turn[0])
-        apart = jnp.maximum(apart, jnp.where(turning, angle, 0.0))
-        worst = jnp.maximum(worst, jnp.where(unchanged, apart, 0.0))
+        if not np.allclose(held[0][k], held[1][k]):
+            continue
+        frames = states.quaternion[first, index], states.quaternion[last, index]
+        wanted = ends.increments(end, start, stop, frames[0])
+        moved = states.position[last, index] - states.position[first, index]
+        shift = held[0][k][:3, :3] @ np.asarray(moved - wanted[:3])
+        worst = max(worst, float(np.linalg.norm(shift)) / length)
+        if np.allclose(held[0][k][3:, 3:], np.eye(3)):
+            there = rotations.multiply(frames[0], rotations.exponential(wanted[3:]))
+            turn = np.asarray(rotations.multiply(rotations.conjugate(there), frames[1]))
+            worst = max(worst, 2 * float(np.arctan2(np.linalg.norm(turn[1:]), turn[0])))
     return worst
