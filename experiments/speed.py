@@ -315,9 +315,7 @@ def main(argv=None) -> None:
                 f" {slopes[title]:.2f} from {large[0]} to {large[-1]}"
             )
     plies: dict[int, dict] = {}
-    print(
-        f"\n{'ply':>8} {'solve':>9} {'increment':>9} {'search':>9} {'increment/solve':>15}   [ms]"
-    )
+    print(f"\n{'ply':>8} {'solve':>9} {'increment':>9} {'search':>9} {'incr./solve':>11}   [ms]")
     for elements in options.elements:
         found = plies[elements] = ply_costs(elements, options.repeats)
         times = " ".join(f"{1e3 * found[k]:9.3f}" for k in ("block_solve", "increment", "search"))
