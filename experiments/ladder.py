@@ -27,7 +27,7 @@ from example import PRESETS, contact_law, drive, rod, scene
 
 import rodjax as rx
 from rodjax.equations.coupling import find_nearby
-from rodjax.equations.step_equations import StepEquations
+from rodjax.equations.equations import Equations, step_equations
 from rodjax.numerics import newton
 from rodjax.numerics.compilation import compiled
 from rodjax.scenes.placing import placing
@@ -164,23 +164,22 @@ def _seconds(call: Callable, *given) -> float:
 
 
 @compiled
-def _equations(scene: rx.Scene, state: rx.State, stop, near: bool) -> StepEquations:
+def _equations(scene: rx.Scene, state: rx.State, stop, near: bool) -> Equations:
     """The equations of a step, with the pairs near each other or without contact."""
     radius = rx.GeneralizedAlpha().spectral_radius
-    equations = StepEquations(scene, state, stop, radius)
-    if near:
-        expected = equations.increment(equations.guess())[:, :3]
-        equations = dataclasses.replace(
-            equations, nearby=find_nearby(scene, state.position, expected)
-        )
-    return equations
+    equations = step_equations(scene, state, stop, radius)
+    if not near:
+        return equations.without_contact()
+    expected = equations.increment(equations.guess(state.force))[:, :3]
+    return dataclasses.replace(equations, nearby=find_nearby(scene, state.position, expected))
 
 
 def _iteration(by):
     """A step's iteration by a function of `newton`."""
 
     def root(equations):
-        method, guess = rx.GeneralizedAlpha(), equations.limited(equations.guess())
+        method, force = rx.GeneralizedAlpha(), equations.scheme.state.force
+        guess = equations.limited(equations.guess(force))
         return by(equations, guess, method.newton_tolerance(guess.dtype), method.max_iterations)[1]
 
     return compiled(root)

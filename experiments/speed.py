@@ -30,8 +30,8 @@ from rodjax.dynamics.adaptive import compile_adaptive_rollout
 from rodjax.dynamics.fixed_rollout import rollout
 from rodjax.dynamics.stepping import prepare, step
 from rodjax.equations.coupling import Nearby, find_nearby
+from rodjax.equations.equations import step_equations
 from rodjax.equations.generalized_alpha import GeneralizedAlpha
-from rodjax.equations.step_equations import StepEquations
 from rodjax.interactions.contact import interpolate
 from rodjax.interactions.contact_forces import joints_of, pair_forces
 from rodjax.numerics.block_tridiagonal import BlockTridiagonal
@@ -112,8 +112,8 @@ def step_solve(whole: Scene, state: State, nearby: Nearby | None) -> _Solved:
     """
     method = GeneralizedAlpha()
     tolerance = method.newton_tolerance(state.position.dtype)
-    equations = StepEquations(whole, state, state.time + STEP, method.spectral_radius, nearby)
-    guess = equations.limited(equations.guess())
+    equations = step_equations(whole, state, state.time + STEP, method.spectral_radius, nearby)
+    guess = equations.limited(equations.guess(state.force))
 
     @compiled
     def solved(equations, x):
@@ -201,10 +201,10 @@ def ply_costs(elements: int, repeats: int) -> dict[str, Any]:
     state = consistency.start(whole)
     find = compiled(lambda scene, s: find_nearby(scene, s.position))
     nearby = find(whole, state)
-    equations = StepEquations(
+    equations = step_equations(
         whole, state, state.time + STEP, GeneralizedAlpha().spectral_radius, nearby
     )
-    x = equations.guess()
+    x = equations.guess(state.force)
     blocks = compiled(lambda e, x: e.linearize(x).blocks)(equations, x)
     parts = {
         "block_solve": (compiled(lambda a, b: a.solve(b)), blocks, jnp.ones_like(x)),

@@ -218,8 +218,8 @@ imperfection inertia linear_stability load_path loads marquardt newton numerical
 object_reading object_writing observations overlap pace paper_equations paper_solvers passages
 path_following plain_trees priors probing recorder records regridding resolution results
 rigid_motions robust rod run run_check run_files scene schedules screening sealed_files section
-signs small_vibration start_checks state statics step_control step_equations stepping strains
-sweep_files tubes unstable_modes user_functions validation versions
+signs small_vibration start_checks state step_control stepping strains sweep_files tubes
+unstable_modes user_functions validation versions
 """.split()  # noqa: SIM905
 
 

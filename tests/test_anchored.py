@@ -8,8 +8,9 @@ from helpers import UNIT_SECTION, random_arrays, random_configuration, relative_
 
 from rodjax.constraints.ends import Clamped, Free, Pinned, Slider
 from rodjax.equations.anchored import AnchoredSystem
+from rodjax.equations.assembly import Scales, assemble
 from rodjax.equations.coupled import CoupledSystem
-from rodjax.rods.balance import Scales, assemble, element_tangent
+from rodjax.rods.balance import element_tangent
 from rodjax.rods.rod import straight_rod
 
 ELEMENTS = 10

@@ -9,6 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from rodjax import rotations
+from rodjax.equations.assembly import Scales, assemble
 from rodjax.rods import balance
 from rodjax.rods.rod import Section, straight_rod
 from rodjax.rods.strains import curvature, element_quaternions, strains
@@ -104,10 +105,8 @@ def dense(matrix):
 def assembled(rod, position, quaternion, force):
     zero = jnp.zeros((6, 6))
     tangent = balance.element_tangent(rod, position, quaternion, force)
-    scales = balance.Scales(jnp.asarray(1.0), jnp.asarray(1.0))
-    return balance.assemble(
-        rod, tangent, jnp.zeros((ELEMENTS + 1, 6, 6)), jnp.stack([zero, zero]), scales
-    )
+    scales = Scales(jnp.asarray(1.0), jnp.asarray(1.0))
+    return assemble(rod, tangent, jnp.zeros((ELEMENTS + 1, 6, 6)), jnp.stack([zero, zero]), scales)
 
 
 @jax.jit
@@ -154,11 +153,11 @@ def test_scales_and_projectors_of_assemble():
     slider = jnp.eye(6).at[:3, :3].add(-jnp.outer(direction, direction))
     zero = jnp.zeros((6, 6))
     tangent = balance.element_tangent(rod, *configuration)
-    plain = balance.Scales(jnp.asarray(1.0), jnp.asarray(1.0))
-    raw = dense(balance.assemble(rod, tangent, node, jnp.stack([zero, zero]), plain))
+    plain = Scales(jnp.asarray(1.0), jnp.asarray(1.0))
+    raw = dense(assemble(rod, tangent, node, jnp.stack([zero, zero]), plain))
     length, force = 0.3, 7.0
-    scales = balance.Scales(jnp.asarray(length), jnp.asarray(force))
-    found = dense(balance.assemble(rod, tangent, node, jnp.stack([zero, slider]), scales))
+    scales = Scales(jnp.asarray(length), jnp.asarray(force))
+    found = dense(assemble(rod, tangent, node, jnp.stack([zero, slider]), scales))
     columns = np.tile(np.repeat([length, force, 1.0], 3), ELEMENTS + 1)
     rows = np.tile(np.repeat([1.0, 1 / force, 1 / (force * length)], 3), ELEMENTS + 1)
     expected = rows[:, None] * raw * columns[None, :]
@@ -170,7 +169,7 @@ def test_scales_and_projectors_of_assemble():
     expected[-6:, last] += slider
     np.testing.assert_allclose(found, expected, atol=1e-12 * np.max(np.abs(expected)))
     # the mass matrix in `node` sits on the nodes' own columns
-    without = dense(balance.assemble(rod, tangent, 0 * node, jnp.stack([zero, zero]), plain))
+    without = dense(assemble(rod, tangent, 0 * node, jnp.stack([zero, zero]), plain))
     difference = (raw - without).reshape(ELEMENTS + 1, 9, ELEMENTS + 1, 9)
     picked = difference[2, 3:, 2][:, [0, 1, 2, 6, 7, 8]]
     np.testing.assert_allclose(picked, node[2], atol=1e-12)

@@ -12,7 +12,7 @@ from helpers import LAWS, slow
 from rodjax.dynamics.stepping import step
 from rodjax.equations import coupling
 from rodjax.equations.coupling import find_nearby
-from rodjax.equations.step_equations import StepEquations
+from rodjax.equations.equations import step_equations
 from rodjax.interactions import contact_levels, screening
 from rodjax.interactions.contact import Contact
 from rodjax.numerics import newton
@@ -27,8 +27,8 @@ finer_and_coarser = pytest.mark.parametrize("bent", [slow(24), 14], indirect=Tru
 @finer_and_coarser
 def test_newton_system_is_the_exact_derivative(bent):
     scene, state, near = bent
-    equations = StepEquations(scene, state, jnp.asarray(1e-3), jnp.asarray(0.8), near)
-    x = equations.guess()
+    equations = step_equations(scene, state, jnp.asarray(1e-3), jnp.asarray(0.8), near)
+    x = equations.guess(state.force)
     system = equations.linearize(x)
     matrix = jax.jacfwd(equations.residual)(x).reshape(x.size, x.size)
     b = jnp.asarray(np.random.default_rng(1).normal(size=x.shape))
@@ -52,8 +52,8 @@ def test_a_strip_is_solved_as_a_dense_system(bent, monkeypatch):
 
     def solutions():
         near = find_nearby(scene, state.position)
-        equations = StepEquations(scene, state, jnp.asarray(1e-3), jnp.asarray(0.8), near)
-        system = equations.linearize(equations.guess())
+        equations = step_equations(scene, state, jnp.asarray(1e-3), jnp.asarray(0.8), near)
+        system = equations.linearize(equations.guess(state.force))
         front = system.coupling.levels[int(near.near.level) - 1].front
         found = system.solve(b), system.solve_transpose(b), system.eliminate().solve(b)
         return front, found, system.multiply(found[0])
@@ -86,13 +86,13 @@ def test_batches_of_right_sides_and_of_systems(bent):
     @jax.jit
     def equations(state):
         nearby = find_nearby(scene, state.position)
-        return StepEquations(scene, state, jnp.asarray(1e-3), jnp.asarray(0.5), nearby)
+        return step_equations(scene, state, jnp.asarray(1e-3), jnp.asarray(0.5), nearby)
 
-    system = lambda state: equations(state).linearize(equations(state).guess())
+    system = lambda state: equations(state).linearize(equations(state).guess(state.force))
 
     def root(state):
         tried = equations(state)
-        return tried.iterate(tried.guess(), jnp.asarray(1e-11), jnp.asarray(2))
+        return tried.iterate(tried.guess(state.force), jnp.asarray(1e-11), jnp.asarray(2))
 
     def close(found, expected):
         # the rod apart is torn in two: its nodes move by many elements to be one again
@@ -122,9 +122,9 @@ def test_batches_of_right_sides_and_of_systems(bent):
 def test_a_held_derivative_leads_to_the_same_motion(bent):
     scene, state, _ = bent
     nearby = find_nearby(scene, state.position)
-    equations = StepEquations(scene, state, jnp.asarray(1e-3), jnp.asarray(0.5), nearby)
+    equations = step_equations(scene, state, jnp.asarray(1e-3), jnp.asarray(0.5), nearby)
     assert int(nearby.near.count) > 0
-    rest = (equations.guess(), jnp.asarray(1e-11), jnp.asarray(20))
+    rest = (equations.guess(state.force), jnp.asarray(1e-11), jnp.asarray(20))
     whole, each = jax.jit(lambda: newton.iterate(equations, *rest))()
     held, once = jax.jit(lambda: newton.iterate_held(equations, *rest))()
     assert int(each.result) == int(once.result) == 0
@@ -143,8 +143,8 @@ def test_every_size_of_solver_gives_the_same_increment(bent):
         same = eqx.tree_at(lambda s: s.contact, scene, contact)
         near = find_nearby(same, state.position, 1e-3 * state.velocity)
         assert int(near.near.level) == len(sizes) - (len(sizes) > 1)
-        equations = StepEquations(same, state, jnp.asarray(1e-3), jnp.asarray(0.8), near)
-        found.append(equations.newton_increment(equations.guess()))
+        equations = step_equations(same, state, jnp.asarray(1e-3), jnp.asarray(0.8), near)
+        found.append(equations.newton_increment(equations.guess(state.force)))
     np.testing.assert_allclose(found[1], found[0], atol=1e-12)
 
 

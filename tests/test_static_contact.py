@@ -8,7 +8,7 @@ import pytest
 from helpers import DIAMETER, hairpin
 
 from rodjax.constraints.ends import Clamped, Free
-from rodjax.equations.statics import at_rest, static_balance
+from rodjax.equations.imbalance import at_rest, static_imbalance
 from rodjax.equilibria.linear_stability import stability
 from rodjax.equilibria.load_path import equilibrium
 from rodjax.inputs.schedules import Constant
@@ -41,7 +41,7 @@ def found():
 def test_contact_carries_the_load(found):
     scene, state, _, through = found
     motion = at_rest(state.time, state.position, state.quaternion)
-    wrench, constraint = eqx.filter_jit(static_balance)(scene, motion, state.force)
+    wrench, constraint = eqx.filter_jit(static_imbalance)(scene, motion, state.force)
     # node 0 is held
     np.testing.assert_allclose(wrench[1:], 0.0, atol=1e-8 * 0.04)
     np.testing.assert_allclose(constraint, 0.0, atol=1e-10)

@@ -8,7 +8,9 @@ import pytest
 
 from rodjax.constraints.ends import Clamped, Free, Pinned, Slider
 from rodjax.equations.coupling import find_nearby
-from rodjax.equations.statics import Ramp, StaticEquations, moving_weight
+from rodjax.equations.equations import Equations
+from rodjax.equations.schemes import AtRest
+from rodjax.equilibria.motion_norms import moving_weight
 from rodjax.equilibria.unstable_modes import count_below, neutral
 from rodjax.inputs.schedules import Constant
 from rodjax.interactions.contact import Contact
@@ -27,8 +29,9 @@ def counted(scene, state, levels):
     """Modes of an equilibrium whose eigenvalues lie below minus the levels (0: unstable ones)."""
     zero = jnp.zeros_like(state.position)
     one = jnp.ones((), zero.dtype)
-    ramp = Ramp(one, Internal(zero, zero, jnp.zeros_like(state.force)))
-    equations = StaticEquations(scene, state, state.position, state.quaternion, one, one, ramp)
+    nothing = Internal(zero, zero, jnp.zeros_like(state.force))
+    rest = AtRest((state.position, state.quaternion), one, one, nothing)
+    equations = Equations.of(scene, rest, state, one)
     levels = levels + neutral(scene, state.force)
     added = levels[:, None, None] * moving_weight(scene)[None]
     return count_below(equations, equations.guess(state.force), added, len(levels))

@@ -105,14 +105,23 @@ class AbstractEnd(eqx.Module):
     @property
     def fixed(self) -> bool | Bool[Array, ""]:
         """Whether it holds its node at one place for good; True or False where its kind says it."""
-        if self.displacement is not None:
-            return False
+        return False if self.displacement is not None else self._holds(3)
+
+    @property
+    def clamped(self) -> bool:
+        """Whether its kind says that it always holds node and frame, if perhaps moved by drives."""
+        return self._holds(6) is True
+
+    def _holds(self, directions: int) -> bool | Bool[Array, ""]:
+        """Whether the first so many directions are always held."""
         # what an end's kind makes of no numbers is known in traced code too
         with jax.ensure_compile_time_eval():
-            times = [jnp.asarray(t, float) for t in (0.0, *self.switch_times)]
-            held = jnp.stack([self.projector(t)[:3, :3] for t in times])
-            fixed = jnp.all(held == jnp.eye(3, dtype=held.dtype)[None])
-        return bool(fixed) if known(fixed) else fixed
+            # the first long before any change
+            times = [jnp.asarray(t, float) for t in (-1e30, *self.switch_times)]
+            held = [self.projector(t)[:directions, :directions] for t in times]
+            held = jnp.stack(held) == jnp.eye(directions, dtype=held[0].dtype)[None]
+            held = jnp.all(held)
+        return bool(held) if known(held) else held
 
 
 def _translation(directions):

@@ -16,6 +16,8 @@ from jaxtyping import Array, Float
 
 from rodjax.constraints import ends
 from rodjax.equations import start_checks
+from rodjax.equations.assembly import Scales, assemble, residual_rows
+from rodjax.equations.imbalance import imbalance
 from rodjax.equations.overlap import check_apart
 from rodjax.inputs.argument_types import AnyArray
 from rodjax.inputs.validation import check_finite, check_numbers, check_scalar
@@ -26,7 +28,6 @@ from rodjax.numerics.block_tridiagonal import BlockTridiagonal
 from rodjax.numerics.compilation import compiled
 from rodjax.numerics.failure import not_a_number
 from rodjax.rods import balance, inertia
-from rodjax.rods.balance import Scales
 from rodjax.rods.framing import of_one_sign
 from rodjax.rods.state import NodeMotion, State
 from rodjax.rods.strains import Strains, relative_rotation, strains
@@ -149,34 +150,24 @@ class _Constrained(eqx.Module):
         matrix = _inertia_matrix(scene, state)
         scales = Scales(jnp.mean(rod.length), jnp.mean(matrix[:, 0, 0]) * jnp.mean(rod.length))
         tangent = balance.constraint_tangent(rod, kinematics)
-        blocks = _release(balance.assemble(rod, tangent, matrix, both, scales), rigid)
+        blocks = _release(assemble(rod, tangent, matrix, both, scales), rigid)
         blocks = lax.stop_gradient(blocks)
         return cls(scene, state, kinematics, rigid, both, scales, matrix, blocks)
-
-    def _units(self) -> tuple[Float[Array, "1 6"], Float[Array, "1 6"]]:
-        """Units of the balances' rows and of the rates."""
-        scales, one = self.scales, jnp.ones_like(self.scales.length)
-        return (
-            jnp.repeat(jnp.stack([scales.force, scales.force * scales.length]), 3)[None],
-            jnp.repeat(jnp.stack([scales.length, one]), 3)[None],
-        )
 
     def multiply(self, x: Float[Array, "nodes 9"]) -> Float[Array, "nodes 9"]:
         """The matrix times scaled rates and multipliers, without the matrix.
 
         The solution is differentiated through this, which costs less than through the blocks.
         """
-        row, unit = self._units()
-        moved = jnp.concatenate([x[:, :3], x[:, 6:]], 1)
-        force = x[1:, 3:6]
-        rate = moved * unit
+        scales, rate = self.scales, self.scales.change(x)
         wrench = jnp.einsum("nij,nj->ni", self.mass, rate) + balance.constraint_wrench(
-            self.scene.rod, self.kinematics, force * self.scales.force
+            self.scene.rod, self.kinematics, scales.internal_force(x)
         )
-        wrench = ends.impose(wrench / row, jnp.stack([moved[0], moved[-1]]), self.projectors)
+        moved = jnp.stack([rate[0], rate[-1]]) / scales.motion[None]
+        wrench = ends.impose(wrench / scales.wrench[None], moved, self.projectors)
         stretching = self.stretch_derivatives(rate, jnp.zeros_like(rate), 1)[0]
-        constraint = self.rigid * stretching + (1 - self.rigid) * force
-        return jnp.concatenate([jnp.concatenate([x[:1, 3:6], constraint]), wrench], 1)
+        constraint = self.rigid * stretching + (1 - self.rigid) * x[1:, 3:6]
+        return residual_rows(x, constraint, wrench)
 
     def solve(self, b: Float[Array, "nodes 9"]) -> Float[Array, "nodes 9"]:
         """Solution of the scaled system."""
@@ -188,12 +179,13 @@ class _Constrained(eqx.Module):
 
     def rates(self, wrench, constraint, prescribed):
         """Rates (n+1, 6) and multipliers (n, 3) for balance, constraint and end right sides."""
-        row, unit = self._units()
-        right = ends.impose(wrench / row, jnp.stack(prescribed) / unit, self.projectors)
+        scales = self.scales
+        goals = jnp.stack(prescribed) / scales.motion[None]
+        right = ends.impose(wrench / scales.wrench[None], goals, self.projectors)
         pad = jnp.zeros_like(constraint[:1])
         b = jnp.concatenate([jnp.concatenate([pad, constraint]), right], 1)
         x = newton.solve_linear(_LinearEquations(self, b))
-        return jnp.concatenate([x[:, :3], x[:, 6:]], 1) * unit, x[1:, 3:6] * self.scales.force
+        return scales.change(x), scales.internal_force(x)
 
     def stretch_derivatives(self, rate, acceleration, order):
         """See `_stretch_derivatives`."""
@@ -265,7 +257,6 @@ def restart(
     J V'' = -J'' V - 2 J' V' and the ends' own (see `generalized_alpha.opening`).
     """
     rod, system = scene.rod, _Constrained.of(scene, state)
-    internal = balance.internal(rod, state.position, state.quaternion, jnp.zeros_like(state.force))
     given = jnp.zeros_like(state.force)
     if rod.compliance is not None:
         axial = jnp.asarray([[0.0, 0.0, 1.0]], given.dtype)
@@ -275,13 +266,14 @@ def restart(
     still = jnp.zeros_like(state.rate)
     rate, loss = (still, jnp.zeros_like(state.time)) if rod.mass is None else system.project()
     motion = system.moving(rate)
-    wrench = -jnp.concatenate([internal.force, internal.moment], 1)
-    if scene.loads:
-        wrench = wrench + total_wrench(scene.loads, rod, motion)
+    pushed = None
     if scene.contact is not None:
         at = motion.position, motion.velocity
         pushed = contact_forces.report(scene.contact, rod, *at, scene.closed).force
-        wrench = wrench.at[:, :3].add(pushed)
+    acting = imbalance(
+        scene, motion, jnp.zeros_like(state.force), acceleration=still, contact_force=pushed
+    )
+    wrench = -acting[0]
     velocities, accelerations = zip(*system.prescribed(ends.rates), strict=True)
 
     if rod.mass is None:
@@ -291,7 +283,6 @@ def restart(
         )
         return new, loss
 
-    wrench = wrench - inertia.inertial_wrench(scene, motion, still)
     right = jnp.where(system.rigid > 0, -system.stretch_derivatives(rate, still, 2)[1], given)
     acceleration, force = system.rates(wrench, right, accelerations)
     new = dataclasses.replace(

@@ -11,15 +11,14 @@ from jaxtyping import Array, Bool, Float, Int
 from rodjax.dynamics.consistency import project
 from rodjax.equations import overlap
 from rodjax.equations.coupling import find_nearby
+from rodjax.equations.equations import step_equations
 from rodjax.equations.generalized_alpha import (
     GeneralizedAlpha,
-    advance,
     coefficients,
     local_error,
     opening,
 )
 from rodjax.equations.start_checks import held_twice
-from rodjax.equations.step_equations import StepEquations
 from rodjax.interactions import screening
 from rodjax.numerics import newton, rotations
 from rodjax.numerics.batching import only_where
@@ -166,13 +165,13 @@ def advance_to(
         rate, auxiliary = opening(c, state.rate, state.auxiliary, state.jerk)
         jerk = jnp.zeros_like(state.jerk)
         state = dataclasses.replace(state, rate=rate, auxiliary=auxiliary, jerk=jerk)
-    equations = StepEquations(scene, state, stop, radius)
-    guess = equations.guess()
+    equations = step_equations(scene, state, stop, radius)
+    guess = equations.guess(state.force)
     if scene.contact is not None:
         expected = equations.increment(guess)[:, :3]
         nearby = find_nearby(scene, state.position, expected)
         nearby = nearby._replace(near=checkpoint_name(nearby.near, newton.SOLUTION))
-        equations = StepEquations(scene, state, stop, radius, nearby)
+        equations = dataclasses.replace(equations, nearby=nearby)
     guess = equations.limited(guess)
     tolerance = method.newton_tolerance(state.position.dtype)
     iterations = method.max_iterations
@@ -180,11 +179,8 @@ def advance_to(
     if too_fast is not None:  # what it would find is whole turns behind
         iterations = jnp.where(too_fast, 0, iterations)
     x, solved = newton.solve(equations, guess, tolerance, iterations)
-    increment = equations.increment(x)
-    c = equations.coefficients
-    rate, acceleration, auxiliary = advance(
-        c, state.rate, state.acceleration, state.auxiliary, equations.correction(x)
-    )
+    increment, scheme = equations.increment(x), equations.scheme
+    rate, acceleration, auxiliary = scheme.advanced(equations.change(x))
     turned = rotations.multiply(state.quaternion, rotations.exponential(increment[:, 3:]))
     new = State(
         stop,
@@ -197,7 +193,7 @@ def advance_to(
         None if settling is None else jnp.maximum(settling - 1, 0).astype(jnp.int32),
         state.jerk,
     )
-    error = local_error(c, state.auxiliary, auxiliary)
+    error = local_error(scheme.coefficients, state.auxiliary, auxiliary)
     largest = lambda v: jnp.sqrt(jnp.max(jnp.sum(lax.stop_gradient(v) ** 2, 1)))
     contact_code = jnp.asarray(Result.SUCCESS, jnp.int32)
     if scene.contact is not None:

@@ -13,8 +13,11 @@ import numpy as np
 
 from rodjax.dynamics.coarseness import turns_of_elements
 from rodjax.dynamics.run import Run
+from rodjax.equations.equations import Equations
+from rodjax.equations.imbalance import lacking
 from rodjax.equations.rigid_motions import check_held
-from rodjax.equations.statics import Ramp, StaticEquations, imbalance, moving_weight
+from rodjax.equations.schemes import AtRest
+from rodjax.equilibria.motion_norms import moving_weight
 from rodjax.equilibria.unstable_modes import count_below, neutral
 from rodjax.numerics.compilation import compiled
 from rodjax.numerics.results import ModelWarning, Result
@@ -73,8 +76,7 @@ def warn_if_unexcited(scene: Scene, run: Run) -> None:
 def _unstable(scene: Scene, state: State):
     # it moves, if slowly, so that its loads do not balance: what they lack is given
     one = jnp.ones_like(state.time)
-    ramp = Ramp(one, imbalance(scene, state, one))
-    place = state.position, state.quaternion
-    equations = StaticEquations(scene, state, *place, state.time, one, ramp)
+    rest = AtRest((state.position, state.quaternion), one, one, lacking(scene, state, one))
+    equations = Equations.of(scene, rest, state, state.time)
     level = neutral(scene, state.force) * moving_weight(scene)
     return count_below(equations, equations.guess(state.force), level[None], 1)[0]

@@ -37,6 +37,10 @@ class AnchoredSystem(eqx.Module):
         z = jnp.linalg.solve(rows[1:].T, _pick(b[None])[0] - rows[0])
         return columns[0] + jnp.einsum("k,knr->nr", z, columns[1:])
 
+    def solve_once(self, b: Float[Array, "nodes 9"]) -> Float[Array, "nodes 9"]:
+        """As `solve`."""
+        return self.solve(b)
+
     def solve_transpose(self, b: Float[Array, "nodes 9"]) -> Float[Array, "nodes 9"]:
         """Solution x = y - T z + E z of the transposed system.
 

@@ -33,6 +33,10 @@ class CoupledSystem(eqx.Module):
         """Solution of the system. Under `vmap` over b alone the matrix is eliminated once."""
         return _solve_apart(self, b) if self.coupling is None else _solve(self, b)
 
+    def solve_once(self, b: Float[Array, "nodes 9"]) -> Float[Array, "nodes 9"]:
+        """As `solve`, for one right side alone, which needs no factors to be kept."""
+        return self.blocks.solve(b) if self.coupling is None else _solve(self, b)
+
     def solve_transpose(self, b: Float[Array, "nodes 9"]) -> Float[Array, "nodes 9"]:
         """Solution of the transposed system."""
         if self.coupling is None:

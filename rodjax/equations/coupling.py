@@ -4,17 +4,18 @@ In the matrix it is L K R^T: K the sum of the pairs' derivatives over the joints
 reads the displacements of those joints, L puts forces on them into the force balances.
 """
 
+import dataclasses
 from typing import NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from rodjax.equations.assembly import Scales
 from rodjax.interactions.contact import Contact, Sites, interpolate, sites, spread
 from rodjax.interactions.contact_forces import forces_and_derivative, gather, joints_of
 from rodjax.interactions.contact_levels import Level, levels
 from rodjax.interactions.screening import Near, search
-from rodjax.rods.balance import Scales
 from rodjax.rods.state import NodeMotion
 from rodjax.scenes.scene import Scene
 
@@ -43,6 +44,10 @@ class Coupling(eqx.Module):
     right: Float[Array, "nodes 9 3"]  # where a node's displacement stands in its block column
     levels: tuple[Level, ...] = eqx.field(static=True)  # sizes with a solver
 
+    def held(self, projectors: Float[Array, "2 6 6"]) -> "Coupling":
+        """The same contact where the ends hold these directions."""
+        return dataclasses.replace(self, left=_balances(projectors, len(self.left)))
+
     def transpose(self) -> "Coupling":
         """The coupling of the transposed matrix."""
         swapped = jnp.transpose(self.derivative, (0, 2, 1, 4, 3))
@@ -60,35 +65,38 @@ class Coupling(eqx.Module):
         return jnp.einsum("jrk,jk->jr", self.left, spread(self.where, force, len(self.left)))
 
 
+def _balances(projectors: Float[Array, "2 6 6"], nodes: int) -> Float[Array, "nodes 9 3"]:
+    """Where a force enters the block rows of the nodes: nowhere in directions that ends hold."""
+    eye = jnp.eye(9, 3, k=-3, dtype=projectors.dtype)
+    left = jnp.broadcast_to(eye[None], (nodes, 9, 3))
+    ends = jnp.stack([left[0], left[-1]]).at[:, 3:].add(-projectors[:, :, :3])
+    return jnp.concatenate([ends[:1], left[1:-1], ends[1:]])
+
+
 def couple(
-    contact: Contact | None,
-    nearby: Nearby | None,
+    contact: Contact,
+    nearby: Nearby,
     motion: NodeMotion,
     by_velocity: Float[Array, ""],
     projectors: Float[Array, "2 6 6"],
     scales: Scales,
-) -> tuple[Float[Array, "nodes 3"] | None, Coupling | None]:
-    """Contact forces on the nodes [N], and their derivative in a system as `balance.assemble`'s.
+) -> tuple[Float[Array, "nodes 3"], Coupling]:
+    """Contact forces on the nodes [N], and their derivative in a system as `assembly.assemble`'s.
 
-    Velocities follow positions by the factor `by_velocity`. (None, None) without contact.
+    Velocities follow positions by the factor `by_velocity`.
     """
-    if contact is None or nearby is None:
-        return None, None
     where, near = nearby
     joints, velocities = (interpolate(where, x) for x in (motion.position, motion.velocity))
     found = forces_and_derivative(contact, where, near, joints, velocities, by_velocity)
     assert found.derivative is not None
-    nodes, dtype = motion.position.shape[0], motion.position.dtype
-    eye = jnp.zeros((9, 3), dtype).at[3:6].set(jnp.eye(3, dtype=dtype))
-    left = jnp.broadcast_to(eye, (nodes, 9, 3))
-    ends = jnp.stack([left[0], left[-1]]).at[:, 3:].add(-projectors[:, :, :3])
-    left = jnp.concatenate([ends[:1], left[1:-1], ends[1:]])
+    nodes = len(motion.position)
+    left = _balances(projectors, nodes)
     coupling = Coupling(
         where,
         near,
         scales.length / scales.force * found.derivative,
         left,
-        jnp.broadcast_to(jnp.roll(eye, -3, axis=0), left.shape),
+        jnp.broadcast_to(jnp.eye(9, 3, dtype=left.dtype)[None], left.shape),
         levels(contact, nodes - 1),
     )
     return spread(where, found.force, nodes), coupling

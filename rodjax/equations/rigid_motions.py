@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from rodjax.equations.statics import at_rest
+from rodjax.equations.imbalance import at_rest
 from rodjax.interactions.loads import DistributedLoad, total_wrench
 from rodjax.numerics import rotations
 from rodjax.rods.state import State

@@ -11,7 +11,7 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Bool, Float
 
-from rodjax.equations.statics import at_rest, moved, static_balance
+from rodjax.equations.imbalance import at_rest, moved, static_imbalance
 from rodjax.inputs.validation import known
 from rodjax.interactions.loads import total_wrench
 from rodjax.numerics import rotations
@@ -131,7 +131,7 @@ def _spin_resistance(scene: Scene, state: State):
     rod = scene.rod
     spin = jnp.zeros_like(state.rate).at[:, 5].set(1.0)
     motion = at_rest(state.time, state.position, state.quaternion)
-    wrench = lambda z: static_balance(scene, moved(motion, z), state.force)[0]
+    wrench = lambda z: static_imbalance(scene, moved(motion, z), state.force)[0]
     change = jax.jvp(wrench, (jnp.zeros_like(spin),), (spin,))[1]
     unit = jnp.mean(rod.stiffness) / jnp.sum(rod.length)
     drag = jnp.zeros(())

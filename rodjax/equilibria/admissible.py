@@ -21,7 +21,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Complex, Float
 
-from rodjax.equations.statics import at_rest, moved, static_balance
+from rodjax.equations.imbalance import at_rest, moved, static_imbalance
 from rodjax.interactions.loads import total_wrench
 from rodjax.numerics.eigenvalues import far_above
 from rodjax.rods import balance
@@ -105,11 +105,14 @@ def allowed(
 
 def constrained(
     scene: Scene,
-    time: Float[Array, ""],
+    both: Float[Array, "2 6 6"],
     basis: Float[Array, "m nodes 6"],
     stiffness: Float[Array, "m m"],
 ) -> Admissible:
-    """Allowed motions with the tangent of the balances on them, the compliance's springs added."""
+    """Allowed motions with the tangent of the balances on them, the compliance's springs added.
+
+    `both` are the projectors of the ends.
+    """
     rod, compliance = scene.rod, scene.rod.compliance
     length = jnp.sum(rod.length)
     norm = jnp.repeat(rod.node_length / length, 3)
@@ -123,8 +126,7 @@ def constrained(
         spring = jnp.where((compliance > 0).ravel(), spring, stiff)
         stiffness = stiffness + jnp.diag(jnp.concatenate([jnp.zeros_like(norm), spring]))
         norm = jnp.concatenate([norm, ds])
-    first, last = projectors(scene, time)
-    held = [p @ basis[:, i].T for p, i in ((first, 0), (last, -1))]
+    held = [p @ basis[:, i].T for p, i in zip(both, (0, -1), strict=True)]
     return Admissible(basis, stiffness, norm, jnp.concatenate(held))
 
 
@@ -136,11 +138,11 @@ def admissible(scene: Scene, state: State) -> Admissible:
 
     def work(z):
         """The imbalance, as work over A/L on a displacement of L or a spin of 1."""
-        return static_balance(scene, moved(motion, units * z), state.force)[0] * (units / energy)
+        return static_imbalance(scene, moved(motion, units * z), state.force)[0] * (units / energy)
 
     push = lambda z: jax.jvp(work, (jnp.zeros_like(z),), (z,))[1]
     stiffness = basis.reshape(len(basis), -1) @ jax.vmap(push)(basis).reshape(len(basis), -1).T
-    return constrained(scene, state.time, basis, stiffness)
+    return constrained(scene, projectors(scene, state.time), basis, stiffness)
 
 
 def mass_matrix(scene: Scene, state: State, motions: Admissible) -> Float[Array, "m m"]:

@@ -1,10 +1,9 @@
-"""Equilibrium of a scene, reached along a path of loads (see `statics` and `path_following`).
+"""Equilibrium of a scene, reached along a path of loads (see `schemes.AtRest`, `path_following`).
 
 A start that is an equilibrium already stays one; a rod placed at rest sees its loads grow from
 zero.
 """
 
-import dataclasses
 import warnings
 from typing import NamedTuple
 
@@ -15,10 +14,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from rodjax.equations.equations import Equations
+from rodjax.equations.imbalance import lacking
 from rodjax.equations.overlap import check_apart, overcome
 from rodjax.equations.rigid_motions import check_held
+from rodjax.equations.schemes import rest_on_path
 from rodjax.equations.start_checks import check_held_once
-from rodjax.equations.statics import StaticEquations, imbalance, ramp_at
 from rodjax.equilibria.path_following import (
     ACCEPT,
     LEAVE,
@@ -197,15 +198,18 @@ def _equilibrium(
         fixed, start, end, load_steps, tolerance, max_iterations, max_rotation, leave, hold
     )
     time = state.time + path.reached * (stop - state.time)
-    ramp = ramp_at(path.reached, imbalance(scene, state))
-    position, quaternion = path.reference
-    equations = StaticEquations(scene, state, position, quaternion, time, max_rotation, ramp)
+    at_start = lacking(scene, state)
+
+    def resisted(resistance):
+        rest = rest_on_path(path.reference, max_rotation, path.reached, at_start, resistance)
+        return Equations.of(scene, rest, state, time)
+
+    equations = resisted(None)
     if hold.spin:
         # a spin that costs no energy stays also when the scene changes
         resistance = newton.constant(spin_resistance(fixed))
-        held = dataclasses.replace(equations, resistance=resistance)
-        kept = newton.constant(spin_is_neutral(newton.constant(held), path.x))
-        equations = dataclasses.replace(held, resistance=jnp.where(kept, resistance, 0.0))
+        kept = spin_is_neutral(newton.constant(resisted(resistance)), path.x)
+        equations = resisted(jnp.where(newton.constant(kept), resistance, 0.0))
     x = newton.root(equations, path.x)
     motion = equations.motion(x)
     zero = jnp.zeros_like(state.rate)

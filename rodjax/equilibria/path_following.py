@@ -10,7 +10,7 @@ halved; where that does not help, the rod descends from where the path had come 
 below), as it would, and the path goes on from there.
 
 The descent is that of a rod in honey: steps of the implicit Euler method for motion resisted by
-sigma times the weights of `statics.resisting_weight`, each of which minimises the energy plus
+sigma times the weights of `motion_norms.resisting_weight`, each of which minimises the energy plus
 sigma/2 |motion|^2. The resistance sigma is kept within 1.5 to 3 times what makes that convex
 (`unstable_modes` tells), and falls to zero where the energy itself is.
 
@@ -26,14 +26,12 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
+from rodjax.equations.coupling import find_nearby
+from rodjax.equations.equations import Equations
+from rodjax.equations.imbalance import lacking
 from rodjax.equations.rigid_motions import Hold
-from rodjax.equations.statics import (
-    StaticEquations,
-    imbalance,
-    moving_weight,
-    ramp_at,
-    resisting_weight,
-)
+from rodjax.equations.schemes import AtRest, Reference, rest_on_path
+from rodjax.equilibria.motion_norms import moving_weight, resisting_weight
 from rodjax.equilibria.unstable_modes import count_below, neutral
 from rodjax.numerics import newton, results, rotations
 from rodjax.numerics.results import Result
@@ -68,8 +66,6 @@ _UNKNOWN, _NOT_COUNTED = 2**30, -1
 # How a path behaves at unstable equilibria: takes them, leaves those that something excites it to
 # leave, leaves all.
 ACCEPT, LEAVE_EXCITED, LEAVE = 0, 1, 2
-
-Reference = tuple[Float[Array, "nodes 3"], Float[Array, "nodes 4"]]
 
 
 class Path(NamedTuple):
@@ -109,7 +105,7 @@ def follow(
     `leave` is one of the constants above; a rod that loads hold descends (swings) also where
     Newton's method fails. Also the number of steps of descents.
     """
-    lacking = imbalance(scene, state)
+    at_start = lacking(scene, state)
     first = 1 / load_steps
     smallest, near = first * 0.5 ** (_HALVINGS + 0.5), first * 0.5 ** (_NEAR + 0.5)
     when = lambda reached: state.time + reached * (stop - state.time)
@@ -119,15 +115,12 @@ def follow(
     spinning = spin_resistance(scene)
 
     def equations(target, reference, sigma: Array | float = 0.0, repeats: Array | float = 0.0):
-        position, quaternion = reference
-        ramp = ramp_at(target, lacking)
         resistance = sigma * weight
         if hold.spin:
             # what does not rest at once costs energy, and needs the less resistance
             resistance = resistance + spinning * jnp.exp2(-2.0 * jnp.minimum(repeats, 10.0))
-        return StaticEquations(
-            scene, state, position, quaternion, when(target), max_rotation, ramp, resistance
-        )
+        rest = rest_on_path(reference, max_rotation, target, at_start, resistance)
+        return Equations.of(scene, rest, state, when(target))
 
     def unfinished(carry):
         path, _ = carry
@@ -165,7 +158,7 @@ def follow(
             solved.result,
             code(_astray(reference[1], trial.motion(x).quaternion, x), Result.ROTATION_TOO_LARGE),
             code(driven, Result.DRIVE_TOO_FAST),
-            trial.overflow(x),
+            _overflow(trial, x),
         )
         converged = result == Result.SUCCESS
         least = neutral(scene, trial.force(x))
@@ -254,16 +247,24 @@ def spin_resistance(scene: Scene) -> Float[Array, "nodes 6"]:
     return jnp.zeros((rod.elements + 1, 6), amount.dtype).at[0, 5].set(amount)
 
 
-def spin_is_neutral(equations: StaticEquations, x: Float[Array, "nodes 9"]) -> Bool[Array, ""]:
+def spin_is_neutral(equations: Equations[AtRest], x: Float[Array, "nodes 9"]) -> Bool[Array, ""]:
     """Whether nothing but its resistance c holds the spin of node 0: a torque turns it by 1/c."""
-    assert equations.resistance is not None
-    scales = equations.scales
-    given = equations.resistance[0, 5] / (scales.force * scales.length)
+    resistance = equations.scheme.resistance
+    assert resistance is not None
+    given = resistance[0, 5] / equations.scales.wrench[5]
     turn = equations.linearize(x).solve(jnp.zeros_like(x).at[0, 8].set(given))[0, 8]
     return jnp.abs(turn - 1) < 1e3 * jnp.sqrt(jnp.finfo(x.dtype).eps)
 
 
-def _configuration(equations: StaticEquations, x) -> tuple[Reference, Float[Array, "n 3"]]:
+def _overflow(equations: Equations[AtRest], x) -> Int[Array, ""]:
+    """A code that tells whether pairs in contact were left out."""
+    if equations.scene.contact is None:
+        return results.as_code(Result.SUCCESS)
+    near = find_nearby(equations.scene, equations.motion(x).position).near
+    return jnp.where(near.overflow, Result.CAPACITY_OVERFLOW, Result.SUCCESS).astype(jnp.int32)
+
+
+def _configuration(equations: Equations[AtRest], x) -> tuple[Reference, Float[Array, "n 3"]]:
     motion = equations.motion(x)
     return (motion.position, rotations.normalize(motion.quaternion)), equations.force(x)
 

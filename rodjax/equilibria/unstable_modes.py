@@ -19,8 +19,11 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
+from rodjax.equations.assembly import Scales, assemble
 from rodjax.equations.coupling import Coupling, couple, find_nearby
-from rodjax.equations.statics import StaticEquations, load_tangent
+from rodjax.equations.equations import Equations
+from rodjax.equations.imbalance import node_tangent
+from rodjax.equations.schemes import AtRest
 from rodjax.equilibria.admissible import allowed, constrained, mean_bending
 from rodjax.numerics import rotations
 from rodjax.numerics.block_tridiagonal import BlockTridiagonal
@@ -28,7 +31,7 @@ from rodjax.numerics.eigenvalues import far_above, split
 from rodjax.numerics.signs import determinant_signs, negative_eigenvalues
 from rodjax.rods import balance
 from rodjax.rods.state import NodeMotion
-from rodjax.scenes.scene import Scene, projectors
+from rodjax.scenes.scene import Scene
 
 # Rows of a block in the order of its columns: (force, constraint, moment).
 _ORDER = np.array([3, 4, 5, 0, 1, 2, 6, 7, 8])
@@ -55,23 +58,23 @@ def neutral(scene: Scene, force: Float[Array, "n 3"]) -> Float[Array, ""]:
 
 
 def count_below(
-    equations: StaticEquations,
+    equations: Equations[AtRest],
     x: Float[Array, "nodes 9"],
     added: Float[Array, "k nodes 6"],
     wanted: Int[Array, ""] | int,
 ) -> Int[Array, " k"]:
     """Number of unstable modes of the second variation at x, with stiffnesses added to its nodes.
 
-    `added` to the displacements and body spins [N/m, N m]: a level times `statics.moving_weight`
-    counts the eigenvalues below minus that level. Only the first `wanted` are counted, those that
-    are not are -1.
+    `added` to the displacements and body spins [N/m, N m]: a level times
+    `motion_norms.moving_weight` counts the eigenvalues below minus that level. Only the first
+    `wanted` are counted, those that are not are -1.
     """
     # a loop, for its program holds one count, and those that nobody wants cost nothing
     count = lambda i, found: found.at[i].set(_count(equations, x, added[i]))
     return lax.fori_loop(0, wanted, count, jnp.full((len(added),), -1, jnp.int32))
 
 
-def _count(equations: StaticEquations, x, added: Float[Array, "nodes 6"]) -> Int[Array, ""]:
+def _count(equations: Equations[AtRest], x, added: Float[Array, "nodes 6"]) -> Int[Array, ""]:
     blocks = _tangent(equations, x)
     even = _asymmetry(equations, blocks) < 10 * jnp.sqrt(jnp.finfo(x.dtype).eps)
     by_elimination = lambda: _eliminated(equations, blocks, added, even)
@@ -88,23 +91,24 @@ def _count(equations: StaticEquations, x, added: Float[Array, "nodes 6"]) -> Int
     return lax.cond(nearby.near.level > 0, by_eigenvalues, by_elimination)
 
 
-def _tangent(equations: StaticEquations, x) -> BlockTridiagonal:
+def _tangent(equations: Equations[AtRest], x) -> BlockTridiagonal:
     """The tangent of the rod free at both ends, its rows in the order of the columns."""
     scene, motion, force = equations.scene, equations.motion(x), equations.force(x)
     elements = balance.element_tangent(scene.rod, motion.position, motion.quaternion, force)
-    node = load_tangent(scene, motion, equations.ramp.factor)
+    scheme = equations.scheme
+    node = node_tangent(scene, motion, load_factor=scheme.load_part())
     # by spins of the body a moment m that is not balanced leaves hat(m)/2 in the tangent; neither
     # what the path's start lacks nor a resistance is one of the rod's loads, while what holds an
     # end is
-    lacking = equations.ramp.lacking.moment
-    holding = projectors(scene, equations.start.time)[:, 3:, 3:]
+    lacking = scheme.lacking.moment
+    holding = equations.projectors[:, 3:, 3:]
     reaction = jnp.einsum("eij,ej->ei", holding, lacking[_ENDS])
     lacking = lacking.at[_ENDS].add(-reaction)
-    if equations.resistance is not None:
-        lacking = lacking - equations.resistance[:, 3:] * x[:, 6:]
+    if scheme.resistance is not None:
+        lacking = lacking - scheme.resistance[:, 3:] * x[:, 6:]
     node = node.at[:, 3:, 3:].add(-0.5 * rotations.hat(lacking))
     never = jnp.zeros((2, 6, 6), node.dtype)
-    blocks = balance.assemble(scene.rod, elements, node, never, equations.scales)
+    blocks = assemble(scene.rod, elements, node, never, equations.scales)
     # in units in which the tangent is a second derivative
     length = equations.scales.length
     edges = jnp.concatenate([length[None], scene.rod.length]) / length
@@ -112,7 +116,7 @@ def _tangent(equations: StaticEquations, x) -> BlockTridiagonal:
     return jax.tree.map(lambda rows: (factor * rows)[:, _ORDER], blocks)
 
 
-def _stiffened(blocks: BlockTridiagonal, scales: balance.Scales, added) -> BlockTridiagonal:
+def _stiffened(blocks: BlockTridiagonal, scales: Scales, added) -> BlockTridiagonal:
     """The tangent with stiffnesses of the nodes added."""
     ones = jnp.ones((3,), added.dtype)
     unit = jnp.concatenate([ones * scales.length, ones / scales.length]) / scales.force
@@ -124,10 +128,10 @@ def _symmetric(blocks: BlockTridiagonal) -> BlockTridiagonal:
     return jax.tree.map(lambda a, b: 0.5 * (a + b), blocks, blocks.transpose())
 
 
-def _asymmetry(equations: StaticEquations, blocks: BlockTridiagonal) -> Float[Array, ""]:
+def _asymmetry(equations: Equations[AtRest], blocks: BlockTridiagonal) -> Float[Array, ""]:
     """Largest entry of the antisymmetric part on motions that the ends allow (scaled)."""
     odd = jax.tree.map(lambda a, b: a - b, blocks, blocks.transpose())
-    both = projectors(equations.scene, equations.start.time)
+    both = equations.projectors
     free = jnp.eye(6, dtype=both.dtype)[None] - both
     free = (
         jnp.broadcast_to(jnp.eye(9, dtype=both.dtype), (2, 9, 9))
@@ -143,7 +147,7 @@ def _asymmetry(equations: StaticEquations, blocks: BlockTridiagonal) -> Float[Ar
 
 
 def _eliminated(
-    equations: StaticEquations, blocks: BlockTridiagonal, added, even: Bool[Array, ""]
+    equations: Equations[AtRest], blocks: BlockTridiagonal, added, even: Bool[Array, ""]
 ) -> Int[Array, ""]:
     """`count_below` by block elimination."""
     scene = equations.scene
@@ -157,7 +161,7 @@ def _eliminated(
     response = factors.solve(columns)
     first = blocks.upper[0][_MOTION] @ response[0]
     last = response[-1][_MOTION]
-    held, aside = projectors(scene, equations.start.time).astype(added.dtype)
+    held, aside = equations.projectors
     unit = (1 + _END_COMPLIANCE) * jnp.eye(6, dtype=added.dtype)
     own = blocks.diagonal[0][_MOTION[:, None], _MOTION] - first[:, :6]
     zero = jnp.zeros_like(own)
@@ -183,7 +187,7 @@ def _eliminated(
 
 
 def _reduced(
-    equations: StaticEquations,
+    equations: Equations[AtRest],
     motion: NodeMotion,
     blocks: BlockTridiagonal,
     coupling: Coupling,
@@ -205,7 +209,7 @@ def _reduced(
     stiffness = moved.reshape(size, -1) @ pushed.reshape(size, -1).T
     energy = mean_bending(scene) / jnp.sum(scene.rod.length)
     stiffness = stiffness * (scales.force * scales.length / energy)
-    motions = constrained(scene, equations.start.time, basis, stiffness)
+    motions = constrained(scene, equations.projectors, basis, stiffness)
     _, rows, free = split(motions.ends)
     matrix = free @ motions.stiffness @ free
     matrix = matrix + far_above(matrix) * rows

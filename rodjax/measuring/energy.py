@@ -17,7 +17,7 @@ from jaxtyping import Array, Float
 
 from rodjax.dynamics.run import Run
 from rodjax.equations.coupling import Nearby, find_nearby
-from rodjax.equations.step_equations import free_balance
+from rodjax.equations.imbalance import imbalance
 from rodjax.interactions import contact_forces
 from rodjax.interactions.contact_energy import contact_energy as energy_of_contact
 from rodjax.interactions.contact_energy import has_potential, stored
@@ -121,7 +121,8 @@ def _unbalanced_ends(
     scene: Scene, state: State, from_contact: Float[Array, "nodes 6"] | None
 ) -> Float[Array, "2 6"]:
     """Inertia + internal - external wrench of the two end nodes: what the ends must supply."""
-    wrench, _ = free_balance(scene, node_motion(state), state.acceleration, state.force)
+    motion, acceleration = node_motion(state), state.acceleration
+    wrench, _ = imbalance(scene, motion, state.force, acceleration=acceleration)
     if from_contact is not None:
         wrench = wrench - from_contact
     return jnp.stack([wrench[0], wrench[-1]])

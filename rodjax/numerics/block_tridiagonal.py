@@ -1,7 +1,7 @@
 """Block-tridiagonal systems: one block row a node, solved by block elimination from the first.
 
 Each diagonal block is factorised with partial pivoting inside the block and none across blocks,
-so the order of the unknowns inside a block matters: see `balance.assemble`.
+so the order of the unknowns inside a block matters: see `assembly.assemble`.
 """
 
 import equinox as eqx

@@ -1,0 +1,302 @@
+"""Equations of a rod by any scheme: balance, constraint and ends, and their Newton system."""
+
+from typing import Generic, NamedTuple, TypeVar
+
+import equinox as eqx
+import jax.numpy as jnp
+from jax import lax
+from jaxtyping import Array, Float
+
+from rodjax.constraints import ends
+from rodjax.equations.anchored import AnchoredSystem
+from rodjax.equations.assembly import Scales, assemble, residual_rows
+from rodjax.equations.coupled import CoupledSystem
+from rodjax.equations.coupling import Coupling, Nearby, couple, find_nearby
+from rodjax.equations.generalized_alpha import coefficients
+from rodjax.equations.imbalance import Moving, at_rest, imbalance, node_tangent
+from rodjax.equations.schemes import AbstractScheme, Step
+from rodjax.interactions import contact_forces, screening
+from rodjax.numerics import newton, rotations
+from rodjax.numerics.batching import one_by_one
+from rodjax.rods import balance
+from rodjax.rods.state import NodeMotion, State
+from rodjax.scenes.scene import Scene, projectors
+
+# Largest rotation of a node that Newton's iteration may begin with [rad].
+_LARGEST_TURN = 1.0
+
+
+class _Placed(NamedTuple):
+    """The nodes at x."""
+
+    motion: NodeMotion
+    acceleration: Float[Array, "nodes 6"] | None  # None at rest
+    change: Float[Array, "nodes 6"]
+    increment: Float[Array, "nodes 6"]
+
+
+class _Goals(NamedTuple):
+    """Where the ends' schedules have them, from the nodes that increments count from."""
+
+    shift: Float[Array, "2 3"]
+    turn: Float[Array, "2 4"]
+
+
+Scheme = TypeVar("Scheme", bound=AbstractScheme)
+
+
+class Equations(eqx.Module, Generic[Scheme]):
+    """Balance, constraint and ends of a scheme at one time, in scaled unknowns.
+
+    The unknowns x (n+1, 9) are those of `assembly`: changes of the nodes as the scheme takes them,
+    and internal forces. Made by `Equations.of`.
+
+    Attributes:
+        time: when loads and drives are evaluated [s].
+        projectors: directions that the ends hold.
+        nearby: strands near each other, held while Newton iterates; None: those near at x.
+    """
+
+    scene: Scene
+    scheme: Scheme
+    time: Float[Array, ""]
+    scales: Scales
+    projectors: Float[Array, "2 6 6"]
+    goals: _Goals
+    nearby: Nearby | None = None
+
+    @classmethod
+    def of(
+        cls,
+        scene: Scene,
+        scheme: Scheme,
+        start: State,
+        time: Float[Array, ""],
+        nearby: Nearby | None = None,
+    ) -> "Equations[Scheme]":
+        """At `time`, the ends moved by their schedules since `start` as they are held there."""
+        goals = _goals(scene, scheme, start, time)
+        held = projectors(scene, start.time)
+        return cls(scene, scheme, time, _scales(scene, scheme), held, goals, nearby)
+
+    def guess(self, force: Float[Array, "n 3"]) -> Float[Array, "nodes 9"]:
+        """x as the scheme expects it, with these internal forces of the elements."""
+        return self.scales.unknowns(self.scheme.expected(), force)
+
+    def change(self, x) -> Float[Array, "nodes 6"]:
+        """What x adds to the scheme's prediction, displacement [m] and rotation vector [rad]."""
+        return self.scales.change(x)
+
+    def increment(self, x) -> Float[Array, "nodes 6"]:
+        """Displacement [m] and rotation vector [rad] of the nodes."""
+        return self.scheme.increment(self.change(x))
+
+    def force(self, x) -> Float[Array, "n 3"]:
+        """Internal force of the elements [N]."""
+        return self.scales.internal_force(x)
+
+    def motion(self, x) -> NodeMotion:
+        """The nodes at x."""
+        return self._placed(x).motion
+
+    def _placed(self, x) -> _Placed:
+        scheme, change = self.scheme, self.change(x)
+        increment, (position, quaternion) = scheme.increment(change), scheme.origin()
+        position = position + increment[:, :3]
+        quaternion = rotations.multiply(quaternion, rotations.exponential(increment[:, 3:]))
+        motion, acceleration = at_rest(self.time, position, quaternion), None
+        found = scheme.rates(change)
+        if found is not None:
+            rate, acceleration = found
+            motion = motion._replace(velocity=rate[:, :3], angular_velocity=rate[:, 3:])
+        # the barrier keeps XLA from evaluating all this anew in every kernel that reads it
+        return lax.optimization_barrier(_Placed(motion, acceleration, change, increment))
+
+    def _near(self, position, displacement=None) -> Nearby:
+        if self.nearby is not None:
+            return self.nearby
+        return find_nearby(self.scene, position, displacement)
+
+    def residual(self, x):
+        """Scaled residual."""
+        placed, contact, push = self._placed(x), self.scene.contact, None
+        if contact is not None:
+            at = placed.motion.position, placed.motion.velocity
+            push = contact_forces.forces(contact, self.scene.rod, *self._near(at[0]), *at)
+        return self._residual(x, placed, push)
+
+    def _residual(self, x, placed: _Placed, push):
+        wrench, constraint = imbalance(
+            self.scene,
+            placed.motion,
+            self.force(x),
+            acceleration=placed.acceleration,
+            contact_force=push,
+            load_factor=self.scheme.load_part(),
+        )
+        wrench, constraint = self.scheme.completed(placed.change, wrench, constraint)
+        scales = self.scales
+        gaps = _gaps(self.goals, placed.increment) / scales.motion[None]
+        return residual_rows(
+            x, constraint, ends.impose(wrench / scales.wrench[None], gaps, self.projectors)
+        )
+
+    def linearize(self, x) -> CoupledSystem | AnchoredSystem:
+        """Derivative of the residual by the increments that `lift` takes."""
+        placed = self._placed(x)
+        return self._system(x, placed, self._contact(placed.motion)[1])
+
+    def newton_increment(self, x):
+        """Newton's increment, contact forces and their derivative evaluated once."""
+        placed = self._placed(x)
+        push, coupling = self._contact(placed.motion)
+        return self._system(x, placed, coupling).solve_once(-self._residual(x, placed, push))
+
+    def _contact(self, motion: NodeMotion) -> tuple[Array | None, Coupling | None]:
+        """Contact forces on the nodes [N], and their derivative in the Newton system."""
+        contact, slopes = self.scene.contact, self.scheme.slopes()
+        if contact is None:
+            return None, None
+        by_velocity = jnp.zeros_like(self.scales.force) if slopes is None else slopes.by_velocity
+        nearby = self._near(motion.position)
+        return couple(contact, nearby, motion, by_velocity, self.projectors, self.scales)
+
+    def _system(self, x, placed: _Placed, coupling: Coupling | None):
+        scene, scheme, motion = self.scene, self.scheme, placed.motion
+        slopes, moving = scheme.slopes(), None
+        if slopes is not None and placed.acceleration is not None:
+            turn = placed.increment[:, 3:]
+            numbers = slopes.by_velocity, slopes.by_acceleration
+            moving = Moving(placed.acceleration, turn, *numbers)
+        tangent = balance.element_tangent(
+            scene.rod, motion.position, motion.quaternion, self.force(x)
+        )
+        node = node_tangent(scene, motion, moving=moving, load_factor=scheme.load_part())
+        node = scheme.stiffened(placed.change, node)
+        blocks = lambda held: assemble(scene.rod, tangent, node, held, self.scales)
+        system = CoupledSystem(blocks(self.projectors), coupling)
+        if slopes is not None or scene.first_end.clamped:
+            return system
+        # what lies before a node is not held without inertia: see `anchored`
+        eye = jnp.eye(6, dtype=x.dtype)
+        other = jnp.stack([eye, jnp.zeros_like(eye)])
+        held = None if coupling is None else coupling.held(other)
+        return AnchoredSystem(system, CoupledSystem(blocks(other), held))
+
+    def iterate(self, x, tolerance, max_iterations):
+        """Newton's iteration, with a held derivative where pairs are near.
+
+        The lanes of a batch go together while nothing is near in any of them, else one by one.
+        """
+        if self.scene.contact is None:
+            return newton.iterate(self, x, tolerance, max_iterations)
+        arrays, rest = eqx.partition(self, eqx.is_array)
+        given = (x, tolerance, max_iterations)
+
+        def touching(arrays, *given):
+            return newton.iterate_held(eqx.combine(arrays, rest), *given)
+
+        def apart(arrays, *given):
+            return newton.iterate(eqx.combine(arrays, rest).without_contact(), *given)
+
+        def one(arrays, *given):
+            return lax.cond(arrays.nearby.near.count > 0, touching, apart, arrays, *given)
+
+        easy = lambda arrays, *given: arrays.nearby.near.count == 0
+        return one_by_one(one, (easy, apart))(arrays, *given)
+
+    def without_contact(self) -> "Equations[Scheme]":
+        """The equations of strands that do not feel each other."""
+        where = lambda equations: (equations.scene.contact, equations.nearby)
+        return eqx.tree_at(where, self, (None, None), is_leaf=lambda leaf: leaf is None)
+
+    def lift(self, x, dx):
+        """Increment of x for solved increments, whose rotations are body spins."""
+        turn = self.increment(x)[:, 3:]
+        return dx.at[:, 6:].set(rotations.tangent_inverse_apply(turn, dx[:, 6:]))
+
+    def retract(self, x, dx):
+        """x after a solved increment."""
+        return x + self.lift(x, dx)
+
+    def limit(self, x, dx):
+        """How much of an increment turns no node too far and lets no strands pass."""
+        scale = jnp.ones((), x.dtype)
+        most = self.scheme.turn_limit()
+        if most is not None:
+            largest = jnp.sqrt(jnp.max(jnp.sum(dx[:, 6:] ** 2, 1)))
+            scale = jnp.minimum(scale, most / jnp.maximum(largest, most))
+        if self.scene.contact is None:
+            return scale
+        position = self.scheme.origin()[0] + self.increment(x)[:, :3]
+        return jnp.minimum(scale, self._approach(position, dx[:, :3] * self.scales.length))
+
+    def _approach(self, position, displacement):
+        assert self.scene.contact is not None
+        nearby = self._near(position, displacement)
+        return screening.approach_limit(self.scene.contact, *nearby, position, displacement)
+
+    def limited(self, x):
+        """The guess x with its increment scaled down where it turns a node or closes a gap too far.
+
+        After a jolt, nodes beside the end spin so fast that they would be predicted to turn over.
+        """
+        full = self.increment(x)
+        turn = jnp.sqrt(jnp.max(jnp.sum(lax.stop_gradient(full[:, 3:]) ** 2, 1)))
+        scale = _LARGEST_TURN / jnp.maximum(turn, _LARGEST_TURN)
+        if self.scene.contact is not None:
+            scale = jnp.minimum(scale, self._approach(self.scheme.origin()[0], full[:, :3]))
+        change = (scale - 1) * full
+        return x.at[:, :3].add(change[:, :3] / self.scales.length).at[:, 6:].add(change[:, 3:])
+
+    def size(self, dx):
+        """Largest rotation [rad], or displacement as the scheme compares it with that."""
+        shift = jnp.max(jnp.abs(dx[:, :3])) / self.scheme.lever(self.scene.rod)
+        return jnp.maximum(shift, jnp.max(jnp.abs(dx[:, 6:])))
+
+
+def step_equations(
+    scene: Scene,
+    state: State,
+    stop: Float[Array, ""],
+    spectral_radius: Float[Array, ""],
+    nearby: Nearby | None = None,
+) -> Equations[Step]:
+    """Equations of a step of generalised-alpha to `stop`."""
+    scheme = Step(coefficients(spectral_radius, stop - state.time), state)
+    return Equations.of(scene, scheme, state, stop, nearby)
+
+
+def _scales(scene: Scene, scheme: AbstractScheme) -> Scales:
+    """Mean element length; a force that makes inertia plus bending of an element about 1.
+
+    Without derivative, for the solution does not hang on them.
+    """
+    rod = scene.rod
+    length = jnp.mean(rod.length)
+    force = jnp.mean(rod.stiffness[:, :2]) / length**2
+    slopes = scheme.slopes()
+    if rod.mass is not None and slopes is not None:
+        mass = jnp.mean(rod.mass) * length
+        force = force + slopes.by_acceleration * mass * length
+    return Scales(*lax.stop_gradient((length, force)))
+
+
+def _goals(scene: Scene, scheme: AbstractScheme, start: State, time) -> _Goals:
+    both = lambda rows: jnp.stack([rows[0], rows[-1]])
+    frames, (position, quaternion) = both(start.quaternion), scheme.origin()
+    moved = [
+        ends.increments(end, start.time, time, frame)
+        for end, frame in zip(scene.ends, frames, strict=True)
+    ]
+    moved = jnp.stack(moved)
+    turn = rotations.multiply(frames, rotations.exponential(moved[:, 3:]))
+    turn = rotations.multiply(rotations.conjugate(both(quaternion)), turn)
+    return _Goals(moved[:, :3] - both(position - start.position), turn)
+
+
+def _gaps(goals: _Goals, increment) -> Float[Array, "2 6"]:
+    """What the ends lack: displacement, and rotation as the body spin to undo."""
+    moved = jnp.stack([increment[0], increment[-1]])
+    turn = rotations.multiply(rotations.conjugate(goals.turn), rotations.exponential(moved[:, 3:]))
+    return jnp.concatenate([moved[:, :3] - goals.shift, rotations.logarithm(turn)], 1)

@@ -1,0 +1,143 @@
+"""What the nodes' balances and the elements' constraint lack, moving or at rest.
+
+internal + inertia - loads - contact, summed here for the equations of a step, of a rod at rest, of
+a start, and for the reactions of the ends.
+"""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from rodjax.inputs.argument_types import Number
+from rodjax.interactions import contact_forces
+from rodjax.interactions.loads import total_wrench
+from rodjax.numerics import rotations
+from rodjax.rods import balance
+from rodjax.rods.balance import Internal
+from rodjax.rods.inertia import inertial_wrench, node_jacobian
+from rodjax.rods.state import NodeMotion, State
+from rodjax.scenes.scene import Scene
+
+Factor = Number | Float[Array, ""]
+
+
+def imbalance(
+    scene: Scene,
+    motion: NodeMotion,
+    force: Float[Array, "n 3"],
+    *,
+    acceleration: Float[Array, "nodes 6"] | None = None,
+    contact_force: Float[Array, "nodes 3"] | None = None,
+    load_factor: Factor | None = None,
+) -> tuple[Float[Array, "nodes 6"], Float[Array, "n 3"]]:
+    """Wrench that every node lacks (force inertial, moment body), and the constraint.
+
+    Args:
+        force: internal force of the elements [N].
+        acceleration: of the nodes; None for no inertia.
+        contact_force: what strands exert on the nodes [N]; None for nothing.
+        load_factor: what part of the loads acts; None for all of it.
+    """
+    inner = balance.internal(scene.rod, motion.position, motion.quaternion, force)
+    wrench = jnp.concatenate([inner.force, inner.moment], 1)
+    if scene.rod.mass is not None and acceleration is not None:
+        wrench = wrench + inertial_wrench(scene, motion, acceleration)
+    if scene.loads:
+        wrench = wrench - _part(total_wrench(scene.loads, scene.rod, motion), load_factor)
+    if contact_force is not None:
+        wrench = wrench.at[:, :3].add(-contact_force)
+    return wrench, inner.constraint
+
+
+def _part(wrench, load_factor: Factor | None):
+    return wrench if load_factor is None else load_factor * wrench
+
+
+class Moving(NamedTuple):
+    """Accelerations of the nodes, and how rates follow their increments in a step."""
+
+    acceleration: Float[Array, "nodes 6"]
+    turn: Float[Array, "nodes 3"]  # rotation vector; its increment for a spin d is J(turn)^-1 d
+    by_velocity: Float[Array, ""]  # [1/s]
+    by_acceleration: Float[Array, ""]  # [1/s^2]
+
+
+def node_tangent(
+    scene: Scene,
+    motion: NodeMotion,
+    *,
+    moving: Moving | None = None,
+    load_factor: Factor | None = None,
+) -> Float[Array, "nodes 6 6"]:
+    """Derivative of inertia less loads of each node by its displacement and body spin.
+
+    Args:
+        moving: how rates follow; None at rest.
+        load_factor: what part of the loads acts; None for all of it.
+    """
+    dtype = motion.position.dtype
+    zero = jnp.zeros((scene.rod.elements + 1, 6), dtype)
+    if not scene.loads and (moving is None or scene.rod.mass is None):
+        return jnp.zeros((*zero.shape, 6), dtype)
+    # of a quaternion by a body spin: its products with half of i, j, k
+    units = 0.5 * jnp.eye(4, dtype=dtype)[1:]
+    product = lambda unit: rotations.multiply(
+        motion.quaternion, jnp.broadcast_to(unit, motion.quaternion.shape)
+    )
+    by_spin = jax.vmap(product, out_axes=2)(units)
+
+    def lacking(z):
+        moved = motion._replace(
+            position=motion.position + z[:, :3],
+            quaternion=motion.quaternion + jnp.einsum("nij,nj->ni", by_spin, z[:, 3:]),
+        )
+        total = jnp.zeros_like(z)
+        if moving is not None:
+            vector = rotations.tangent_inverse_apply(moving.turn, z[:, 3:])
+            moved = moved._replace(
+                velocity=motion.velocity + moving.by_velocity * z[:, :3],
+                angular_velocity=motion.angular_velocity + moving.by_velocity * vector,
+            )
+            if scene.rod.mass is not None:
+                rate = moving.by_acceleration * jnp.concatenate([z[:, :3], vector], 1)
+                total = total + inertial_wrench(scene, moved, moving.acceleration + rate)
+        if scene.loads:
+            total = total - _part(total_wrench(scene.loads, scene.rod, moved), load_factor)
+        return total
+
+    return node_jacobian(lacking, zero)
+
+
+def at_rest(time, position, quaternion) -> NodeMotion:
+    """Nodes without velocity."""
+    zero = jnp.zeros_like(position)
+    return NodeMotion(time, position, quaternion, zero, zero)
+
+
+def moved(motion: NodeMotion, z: Float[Array, "nodes 6"]) -> NodeMotion:
+    """The motion displaced by z: displacements and body spins."""
+    turned = rotations.multiply(motion.quaternion, rotations.exponential(z[:, 3:]))
+    return motion._replace(position=motion.position + z[:, :3], quaternion=turned)
+
+
+def static_imbalance(
+    scene: Scene,
+    motion: NodeMotion,
+    force: Float[Array, "n 3"],
+    load_factor: Factor | None = None,
+) -> tuple[Float[Array, "nodes 6"], Float[Array, "n 3"]]:
+    """`imbalance` without inertia, contact searched for where the nodes are."""
+    pushed = None
+    if scene.contact is not None:
+        at = motion.position, motion.velocity
+        pushed = contact_forces.report(scene.contact, scene.rod, *at, scene.closed).force
+    return imbalance(scene, motion, force, contact_force=pushed, load_factor=load_factor)
+
+
+def lacking(scene: Scene, state: State, load_factor: Factor = 0.0) -> Internal:
+    """What a state lacks at rest under this part of the loads."""
+    motion = at_rest(state.time, state.position, state.quaternion)
+    wrench, constraint = static_imbalance(scene, motion, state.force, load_factor)
+    return Internal(wrench[:, :3], wrench[:, 3:], constraint)
