@@ -73,6 +73,7 @@ from rodjax.interactions.loads import Gravity as Gravity
 from rodjax.interactions.loads import LinearDrag as LinearDrag
 from rodjax.interactions.loads import MorisonDrag as MorisonDrag
 from rodjax.interactions.loads import PointLoad as PointLoad
+from rodjax.interactions.roles import Role as Role
 from rodjax.measuring.extrapolation import extrapolate as extrapolate
 from rodjax.measuring.run_check import check as check
 from rodjax.numerics.compilation import jit as jit
@@ -161,6 +162,7 @@ __all__ = [
     "Positive",
     "Result",
     "Rod",
+    "Role",
     "Run",
     "Scene",
     "Section",

@@ -8,13 +8,14 @@ import pytest
 from helpers import DIAMETER, hairpin
 
 from rodjax.constraints.ends import Clamped, Free
-from rodjax.equations.imbalance import at_rest, static_imbalance
+from rodjax.equations.imbalance import static_imbalance
 from rodjax.equilibria.linear_stability import stability
 from rodjax.equilibria.load_path import equilibrium
 from rodjax.inputs.schedules import Constant
 from rodjax.interactions.contact import Contact
 from rodjax.interactions.contact_laws import InversePower
 from rodjax.interactions.loads import PointLoad
+from rodjax.rods.state import at_rest
 from rodjax.scenes.placing import placing
 from rodjax.scenes.scene import Scene
 

@@ -263,7 +263,7 @@ class Switched(AbstractEnd):
             raise ValueError(
                 "before, after: give the schedules to Switched itself, not to its parts"
             )
-        if any(isinstance(p, Switched) for p in parts[:1]):
+        if self.before.switch_times:
             raise ValueError("before: nest a further switch in `after`")
 
     def projector(self, time):

@@ -13,13 +13,13 @@ from rodjax.equations.assembly import Scales, assemble, residual_rows
 from rodjax.equations.coupled import CoupledSystem
 from rodjax.equations.coupling import Coupling, Nearby, couple, find_nearby
 from rodjax.equations.generalized_alpha import coefficients
-from rodjax.equations.imbalance import Moving, at_rest, imbalance, node_tangent
+from rodjax.equations.imbalance import Moving, imbalance, node_tangent
 from rodjax.equations.schemes import AbstractScheme, Step
 from rodjax.interactions import contact_forces, screening
 from rodjax.numerics import newton, rotations
 from rodjax.numerics.batching import one_by_one
 from rodjax.rods import balance
-from rodjax.rods.state import NodeMotion, State
+from rodjax.rods.state import NodeMotion, State, at_rest
 from rodjax.scenes.scene import Scene, projectors
 
 # Largest rotation of a node that Newton's iteration may begin with [rad].

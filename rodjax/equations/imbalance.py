@@ -17,7 +17,7 @@ from rodjax.numerics import rotations
 from rodjax.rods import balance
 from rodjax.rods.balance import Internal
 from rodjax.rods.inertia import inertial_wrench, node_jacobian
-from rodjax.rods.state import NodeMotion, State
+from rodjax.rods.state import NodeMotion, State, at_rest
 from rodjax.scenes.scene import Scene
 
 Factor = Number | Float[Array, ""]
@@ -108,18 +108,6 @@ def node_tangent(
         return total
 
     return node_jacobian(lacking, zero)
-
-
-def at_rest(time, position, quaternion) -> NodeMotion:
-    """Nodes without velocity."""
-    zero = jnp.zeros_like(position)
-    return NodeMotion(time, position, quaternion, zero, zero)
-
-
-def moved(motion: NodeMotion, z: Float[Array, "nodes 6"]) -> NodeMotion:
-    """The motion displaced by z: displacements and body spins."""
-    turned = rotations.multiply(motion.quaternion, rotations.exponential(z[:, 3:]))
-    return motion._replace(position=motion.position + z[:, :3], quaternion=turned)
 
 
 def static_imbalance(

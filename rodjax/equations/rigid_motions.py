@@ -13,10 +13,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from rodjax.equations.imbalance import at_rest
-from rodjax.interactions.loads import DistributedLoad, total_wrench
+from rodjax.interactions.loads import total_wrench
 from rodjax.numerics import rotations
-from rodjax.rods.state import State
+from rodjax.rods.state import State, at_rest
 from rodjax.scenes.scene import Scene, projectors
 
 
@@ -32,7 +31,7 @@ def check_held(
 ) -> Hold:
     """Raise ValueError if ends and loads (those at `time`) leave the rod free as a rigid body.
 
-    A rod held in part passes if a `DistributedLoad` might hold the rest. Skipped for traced values.
+    A rod held in part passes if a user's load might hold the rest. Skipped for traced values.
 
     Args:
         spin_free: whether the spin of the rod about itself may stay free.
@@ -56,7 +55,7 @@ def check_held(
         free = _free_motions(scene, state, both, spin)
         if len(free) == 0:
             return Hold(spin=spin)
-        if any(isinstance(load, DistributedLoad) for load in scene.loads):
+        if any(load.may_hold for load in scene.loads):
             return Hold(loads=True, spin=spin)
         time = state.time if time is None else time
         if any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves((scene, time))):

@@ -11,13 +11,13 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Bool, Float
 
-from rodjax.equations.imbalance import at_rest, moved, static_imbalance
+from rodjax.equations.imbalance import static_imbalance
 from rodjax.inputs.validation import known
 from rodjax.interactions.loads import total_wrench
 from rodjax.numerics import rotations
 from rodjax.numerics.compilation import compiled
 from rodjax.rods.balance import constraint_tangent, scatter
-from rodjax.rods.state import State
+from rodjax.rods.state import State, at_rest, moved
 from rodjax.rods.strains import strains
 from rodjax.scenes.scene import Scene, projectors
 

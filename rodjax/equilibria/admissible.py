@@ -21,13 +21,13 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Complex, Float
 
-from rodjax.equations.imbalance import at_rest, moved, static_imbalance
+from rodjax.equations.imbalance import static_imbalance
 from rodjax.interactions.loads import total_wrench
 from rodjax.numerics.eigenvalues import far_above
 from rodjax.rods import balance
 from rodjax.rods.inertia import inertial_wrench, node_jacobian
 from rodjax.rods.rod import Rod
-from rodjax.rods.state import State
+from rodjax.rods.state import State, at_rest, moved
 from rodjax.rods.strains import strains
 from rodjax.scenes.scene import Scene, projectors
 

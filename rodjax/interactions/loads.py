@@ -31,6 +31,7 @@ from rodjax.inputs.validation import (
     known,
     shown,
 )
+from rodjax.interactions.roles import Role
 from rodjax.numerics import rotations
 from rodjax.rods.rod import Rod
 from rodjax.rods.state import NodeMotion
@@ -49,11 +50,39 @@ def _check_vector(**values):
 
 
 class AbstractLoad(eqx.Module):
-    """A load on the nodes."""
+    """A load on the nodes. Your own is a subclass: `wrench`, and what else it has of the rest."""
 
     @abc.abstractmethod
     def wrench(self, rod: Rod, motion: NodeMotion) -> Float[Array, "nodes 6"]:
         """Force (inertial) [N] and moment (body) [N m] on each node, from its own motion only."""
+
+    @property
+    def role(self) -> Role:
+        """How its work is booked: as put in, unless it says that it is stored or lost."""
+        return Role.DRIVEN
+
+    def energy(self, rod: Rod, motion: NodeMotion) -> Float[Array, ""]:
+        """Potential energy of a load whose role is STORED [J].
+
+        Its slope is minus the wrench on a rod at rest: for displacements (inertial) of the force,
+        for body spins of the moment.
+        """
+        raise ValueError(
+            f"{type(self).__name__}: a load whose role is STORED needs energy(rod, motion)"
+        )
+
+    @property
+    def may_hold(self) -> bool:
+        """Whether it might hold a rod that ends leave free where a look at some places is blind."""
+        return True
+
+    @property
+    def resistance(self) -> tuple[Array, Array, Array] | None:
+        """Force per length and velocity, normal and tangential [N s/m^2], and moment per length and
+        spin about the tangent [N s]: what a rod without inertia rests on. None for a load that
+        gives it none.
+        """
+        return None
 
     def check(self, rod: Rod) -> None:
         """Raise ValueError where the rod lacks what the load needs."""
@@ -108,6 +137,17 @@ class Gravity(AbstractLoad):
         if self.fluid_density is not None:
             _need(rod, "area", "Gravity with buoyancy")
 
+    @property
+    def role(self):
+        return Role.STORED
+
+    @property
+    def may_hold(self):
+        return False
+
+    def energy(self, rod, motion):
+        return -jnp.sum(self.weight(rod) * motion.position)
+
     def weight(self, rod: Rod) -> Float[Array, "nodes 3"]:
         """Weight of the nodes in the fluid [N]."""
         density = _need(rod, "mass", "Gravity")
@@ -158,6 +198,14 @@ class MorisonDrag(AbstractLoad):
         _need(rod, "diameter", "MorisonDrag")
         if self.added_mass_coefficient is not None:
             _need(rod, "area", "MorisonDrag with added mass")
+
+    @property
+    def role(self):
+        return Role.DRAG
+
+    @property
+    def may_hold(self):
+        return False
 
     def wrench(self, rod, motion):
         diameter = _need(rod, "diameter", "MorisonDrag")
@@ -210,6 +258,18 @@ class LinearDrag(AbstractLoad):
         _check_coefficients(
             normal=self.normal, tangential=self.tangential, rotational=self.rotational
         )
+
+    @property
+    def role(self):
+        return Role.DAMPING
+
+    @property
+    def may_hold(self):
+        return False
+
+    @property
+    def resistance(self):
+        return self.normal, self.tangential, self.rotational
 
     def wrench(self, rod, motion):
         tangent = rotations.tangent_director(motion.quaternion)
@@ -280,6 +340,10 @@ class PointLoad(AbstractLoad):
         check_flag(follower=self.follower)
         mend = "give a schedule of three components, for one that stays Constant((0, 0, 1))"
         check_schedule((3,), mend, **given(force=self.force, moment=self.moment))
+
+    @property
+    def may_hold(self):
+        return False
 
     @property
     def schedules(self):

@@ -22,12 +22,13 @@ from rodjax.interactions import contact_forces
 from rodjax.interactions.contact_energy import contact_energy as energy_of_contact
 from rodjax.interactions.contact_energy import has_potential, stored
 from rodjax.interactions.contact_laws import PairProperties, ignores_approach
-from rodjax.interactions.loads import Gravity, LinearDrag, MorisonDrag, total_wrench
+from rodjax.interactions.loads import total_wrench
+from rodjax.interactions.roles import Role
 from rodjax.numerics import rotations
 from rodjax.numerics.compilation import compiled
 from rodjax.rods import inertia
 from rodjax.rods.rod import Rod
-from rodjax.rods.state import NodeMotion, State
+from rodjax.rods.state import NodeMotion, State, at_rest
 from rodjax.rods.strains import curvature, strains
 from rodjax.scenes.scene import Scene, projectors
 
@@ -85,11 +86,14 @@ def kinetic_energy(scene: Scene, state: State) -> Float[Array, ""]:
 
 
 def gravity_energy(scene: Scene, state: State) -> Float[Array, ""]:
-    """Potential of the scene's weight less buoyancy in this state, zero at the origin [J]."""
+    """Potential of the scene's weight less buoyancy in this state, zero at the origin [J].
+
+    And of your own loads that store energy.
+    """
     energy = jnp.zeros((), state.position.dtype)
     for load in scene.loads:
-        if isinstance(load, Gravity):
-            energy = energy - jnp.sum(load.weight(scene.rod) * state.position)
+        if load.role is Role.STORED:
+            energy = energy + load.energy(scene.rod, node_motion(state))
     return energy
 
 
@@ -167,14 +171,15 @@ class Ledger(NamedTuple):
     Attributes:
         time: [s]; all that follows [J].
         drive_work: done by the prescribed motion of both ends.
-        load_work: done by all loads but gravity, drag and damping.
+        load_work: done by loads whose role is DRIVEN (`Role`).
         bending, torsion: stored by Eq. (4), in A1 and A2, and in C.
         axial: stored in stretch and shear.
         kinetic: Eq. (6), with added mass.
-        gravity: potential of the weight less buoyancy.
+        gravity: potential of the weight less buoyancy, and of your own loads that store energy.
         contact_work: done by the rod on its contacts: stored there or lost.
-        drag_loss: to `MorisonDrag`.
-        damping_loss: to `LinearDrag`.
+        drag_loss: to `MorisonDrag`, and your own loads whose role is DRAG.
+        damping_loss: to `LinearDrag`, your own loads whose role is DAMPING, and what those that
+            store energy exert by motion.
         projection_loss: kinetic energy lost where a constraint began.
         contact_energy: stored between the strands.
         contact_loss: to the damping of the contact law; all its work where nothing is stored.
@@ -182,15 +187,15 @@ class Ledger(NamedTuple):
 
     time: Float[Array, " k"]
     drive_work: Float[Array, " k"]  # of both ends' prescribed motion [J]
-    load_work: Float[Array, " k"]  # of all loads but gravity, drag and damping [J]
+    load_work: Float[Array, " k"]  # of loads that are DRIVEN [J]
     bending: Float[Array, " k"]
     torsion: Float[Array, " k"]
     axial: Float[Array, " k"]
     kinetic: Float[Array, " k"]
     gravity: Float[Array, " k"]
     contact_work: Float[Array, " k"]
-    drag_loss: Float[Array, " k"]  # of MorisonDrag
-    damping_loss: Float[Array, " k"]  # of LinearDrag
+    drag_loss: Float[Array, " k"]  # of loads that are DRAG
+    damping_loss: Float[Array, " k"]  # of loads that are DAMPING
     projection_loss: Float[Array, " k"]  # kinetic energy lost where a constraint began
     contact_energy: Float[Array, " k"] | None = None  # None: of a file of an earlier version
     contact_loss: Float[Array, " k"] | None = None  # part of contact_work
@@ -245,15 +250,20 @@ def _acting(scene: Scene, state: State, nearby: Nearby | None) -> _Acting:
     motion = node_motion(state)
     touching = None if nearby is None else _pushed(scene, state.position, state.velocity, nearby)
 
-    def total(chosen):
-        loads = tuple(load for load in scene.loads if chosen(load))
+    def total(*roles, motion=motion):
+        loads = tuple(load for load in scene.loads if load.role in roles)
         return total_wrench(loads, scene.rod, motion) if loads else None
+
+    damping = total(Role.DAMPING, Role.STORED)
+    resting = total(Role.STORED, motion=at_rest(motion.time, motion.position, motion.quaternion))
+    if damping is not None and resting is not None:
+        damping = damping - resting
 
     return _Acting(
         _unbalanced_ends(scene, state, touching),
-        total(lambda load: not isinstance(load, Gravity | MorisonDrag | LinearDrag)),
-        total(lambda load: isinstance(load, MorisonDrag)),
-        total(lambda load: isinstance(load, LinearDrag)),
+        total(Role.DRIVEN),
+        total(Role.DRAG),
+        damping,
         touching,
         None if nearby is None else _contact_damping(scene, state, touching, nearby),
     )

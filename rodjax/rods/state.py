@@ -3,7 +3,10 @@
 from typing import NamedTuple
 
 import equinox as eqx
+import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
+
+from rodjax.numerics import rotations
 
 
 class State(eqx.Module):
@@ -63,3 +66,15 @@ class NodeMotion(NamedTuple):
     quaternion: Float[Array, "nodes 4"]
     velocity: Float[Array, "nodes 3"]
     angular_velocity: Float[Array, "nodes 3"]
+
+
+def at_rest(time, position, quaternion) -> NodeMotion:
+    """Nodes without velocity."""
+    zero = jnp.zeros_like(position)
+    return NodeMotion(time, position, quaternion, zero, zero)
+
+
+def moved(motion: NodeMotion, z: Float[Array, "nodes 6"]) -> NodeMotion:
+    """The motion displaced by z: displacements and body spins."""
+    turned = rotations.multiply(motion.quaternion, rotations.exponential(z[:, 3:]))
+    return motion._replace(position=motion.position + z[:, :3], quaternion=turned)

@@ -13,9 +13,10 @@ from rodjax.constraints.ends import AbstractEnd, Free, check_end
 from rodjax.inputs.brief import brief
 from rodjax.inputs.validation import as_traced, check_instance
 from rodjax.interactions.contact import Contact
-from rodjax.interactions.loads import AbstractLoad, LinearDrag
+from rodjax.interactions.loads import AbstractLoad
 from rodjax.rods.rod import Rod
 from rodjax.scenes import probing
+from rodjax.scenes.potentials import check_potential
 
 
 def _with_arrays(part):
@@ -53,6 +54,7 @@ class Scene(eqx.Module):
                 raise ValueError("loads: added mass on a rod with mass=None, which has no inertia")
         for i, load in enumerate(self.loads):
             probing.check_local(load, self.rod, f"loads[{i}]")
+            check_potential(load, self.rod, f"loads[{i}]")
         for name, end in zip(("first_end", "last_end"), self.ends, strict=True):
             probing.check_end(end, name)
         if self.contact is not None:
@@ -73,11 +75,12 @@ class Scene(eqx.Module):
             check_instance(Contact, mend, contact=self.contact)
 
     def _check_inertialess(self):
-        drags = [load for load in self.loads if isinstance(load, LinearDrag)]
+        found = [load.resistance for load in self.loads]
+        drags = [resistance for resistance in found if resistance is not None]
         if not drags:
             raise ValueError("loads: a rod with mass=None needs a LinearDrag to balance elasticity")
-        for name in ("normal", "tangential", "rotational"):
-            values = [getattr(drag, name) for drag in drags]
+        names = ("normal", "tangential", "rotational")
+        for name, values in zip(names, zip(*drags, strict=True), strict=True):
             if any(isinstance(v, jax.core.Tracer) or not hasattr(v, "shape") for v in values):
                 continue
             if not np.all(sum(np.asarray(v) for v in values) > 0):

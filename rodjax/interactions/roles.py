@@ -1,0 +1,19 @@
+"""How the work of what acts on a rod is booked."""
+
+import enum
+
+
+class Role(enum.Enum):
+    """What becomes of a load's work; see `Ledger`.
+
+    DRIVEN: work that is put in from outside, `load_work`.
+    STORED: it has a potential, `gravity`; of a load that also resists motion, what it exerts
+        beyond its wrench on a resting rod is `damping_loss`.
+    DRAG: lost to a fluid, `drag_loss`.
+    DAMPING: lost otherwise, `damping_loss`.
+    """
+
+    DRIVEN = "driven"
+    STORED = "stored"
+    DRAG = "drag"
+    DAMPING = "damping"

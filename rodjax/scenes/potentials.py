@@ -1,0 +1,71 @@
+"""What a user's load must keep to that says it stores energy: its wrench is that energy's slope.
+
+A load without a potential, or with one that changes in time, would leave the ledger of a run with
+an error that looks like one of the time integration.
+"""
+
+import jax
+import jax.core
+import jax.numpy as jnp
+import numpy as np
+
+from rodjax.interactions.loads import AbstractLoad
+from rodjax.interactions.roles import Role
+from rodjax.rods.rod import Rod
+from rodjax.rods.state import NodeMotion, at_rest, moved
+
+_MEND = "; give its potential energy in `energy(rod, motion)`, or another role"
+
+
+def check_potential(load: AbstractLoad, rod: Rod, name: str) -> None:
+    """Raise ValueError unless the role of a load is one, and its energy fits its wrench.
+
+    Seen for displacements and turns of all nodes from near where the rod is placed. Skipped where
+    load or rod is traced, and where energy or wrench is not finite.
+    """
+    title = f"{name} ({type(load).__name__})"
+    if not isinstance(load.role, Role):
+        raise ValueError(f"{title}: its role must be a rodjax.Role, got {load.role!r}")
+    if load.role is not Role.STORED or type(load).__module__ == AbstractLoad.__module__:
+        return
+    if any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves((load, rod))):
+        return
+    generator = np.random.default_rng(0)
+    with jax.ensure_compile_time_eval():
+        for _ in range(3):
+            _check_once(load, rod, title, generator)
+
+
+def _check_once(load: AbstractLoad, rod: Rod, title: str, generator) -> None:
+    dtype = rod.position.dtype
+    unit = np.repeat([0.1 * float(jnp.sum(rod.length)), 0.5], 3)
+    draw = lambda: jnp.asarray(generator.normal(size=(rod.elements + 1, 6)) * unit, dtype)
+    start = at_rest(jnp.asarray(0.3, dtype), rod.position, rod.quaternion)
+    motion, direction = moved(start, draw()), draw()
+
+    def energy(motion: NodeMotion):
+        found = load.energy(rod, motion)
+        if jnp.shape(found) != ():
+            raise ValueError(f"{title}: its energy must be one number, got {found!r}{_MEND}")
+        return found
+
+    value, gain = jax.jvp(
+        lambda z: energy(moved(motion, z)), (jnp.zeros_like(direction),), (direction,)
+    )
+    works = load.wrench(rod, motion) * direction
+    later = energy(motion._replace(time=motion.time + 1))
+    size = float(jnp.sum(jnp.abs(works)) + jnp.abs(gain))
+    rounding = float(jnp.finfo(dtype).eps) ** 0.5
+    if not np.isfinite(size + float(value)):
+        return
+    if abs(float(gain + jnp.sum(works))) > rounding * size:
+        raise ValueError(
+            f"{title}: it is said to store energy, but in a small motion its energy grows by"
+            f" {float(gain):.6g} while its wrench does the work {float(jnp.sum(works)):.6g}, which"
+            " should be the opposite (moments and spins in body axes)" + _MEND
+        )
+    if abs(float(later - value)) > rounding * max(abs(float(value)), size):
+        raise ValueError(
+            f"{title}: its energy changes in time, by {float(later - value):.3g} in one second"
+            " at rest, which is work put in from outside: its role is Role.DRIVEN"
+        )
