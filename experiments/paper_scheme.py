@@ -72,7 +72,7 @@ def advance(scene, motion, end, count, method):
         now, worst, good = carry
         now, info = take(scene, now, begin + (end - begin) * ((i + 1) / count), method)
         worst = jnp.maximum(worst, info.result)
-        return now, worst, good + (worst == Result.SUCCESS)
+        return now, worst, good + (worst == Result.SUCCESS).astype(good.dtype)
 
     zero = jnp.asarray(0, jnp.int32)
     return lax.fori_loop(0, count, one, (motion, zero, zero))

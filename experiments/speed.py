@@ -240,7 +240,7 @@ def compile_costs(rung: Rung, repeats: int) -> dict[str, Any]:
         found[f"{name}_trace_seconds"] = traced - began
         found[f"{name}_compile_seconds"] = time.perf_counter() - traced
         found[f"{name}_operations"] = lowered.as_text().count(" = ")
-        found[f"{name}_fusions"] = program.as_text().count(" fusion(")
+        found[f"{name}_fusions"] = program.compiled.as_text().count(" fusion(")
         return program
 
     program = compile_it("step", step, rung.scene, state, stop)

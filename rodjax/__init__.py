@@ -27,6 +27,7 @@ from rodjax.constraints.ends import Pinned as Pinned
 from rodjax.constraints.ends import Slider as Slider
 from rodjax.constraints.ends import Switched as Switched
 from rodjax.constraints.ends import Turn as Turn
+from rodjax.constraints.supports import Support as Support
 from rodjax.dynamics.adaptive import adaptive_rollout as adaptive_rollout
 from rodjax.dynamics.consistency import start as start
 from rodjax.dynamics.fixed_rollout import rollout as rollout
@@ -172,6 +173,7 @@ __all__ = [
     "SoftL1",
     "State",
     "StepControl",
+    "Support",
     "Switched",
     "Turn",
     "Unbounded",

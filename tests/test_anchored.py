@@ -36,8 +36,9 @@ def solutions(first, last, bent, b):
     tangent = element_tangent(rod, *state)
     node = jnp.zeros((ELEMENTS + 1, 6, 6))
     eye = jnp.eye(6)
-    held = lambda *both: CoupledSystem(assemble(rod, tangent, node, jnp.stack(both), scales))
-    system = AnchoredSystem(held(first, last), held(eye, 0 * eye))
+    nodes = (0, ELEMENTS)
+    held = lambda *both: CoupledSystem(assemble(rod, tangent, node, jnp.stack(both), nodes, scales))
+    system = AnchoredSystem(held(first, last), held(eye, 0 * eye), nodes)
     columns = jnp.eye(b.size).reshape(b.size, *b.shape)
     matrix = jax.vmap(system.multiply)(columns).reshape(b.size, b.size).T
     return matrix, system.solve(b).ravel(), system.solve_transpose(b).ravel()

@@ -15,6 +15,7 @@ from rodjax.rods.rod import Section, straight_rod
 from rodjax.rods.strains import curvature, element_quaternions, strains
 
 ELEMENTS = 5
+BOTH = (0, ELEMENTS)  # nodes that ends hold
 COMPLIANT = Section(stiffness=(1.0, 1.3, lambda s: 0.8 + s), mass=1.0, compliance=(0.02, 0.0, 0.01))
 few = settings(max_examples=25, deadline=None)
 seeds = st.integers(0, 2**31)
@@ -106,7 +107,9 @@ def assembled(rod, position, quaternion, force):
     zero = jnp.zeros((6, 6))
     tangent = balance.element_tangent(rod, position, quaternion, force)
     scales = Scales(jnp.asarray(1.0), jnp.asarray(1.0))
-    return assemble(rod, tangent, jnp.zeros((ELEMENTS + 1, 6, 6)), jnp.stack([zero, zero]), scales)
+    return assemble(
+        rod, tangent, jnp.zeros((ELEMENTS + 1, 6, 6)), jnp.stack([zero, zero]), BOTH, scales
+    )
 
 
 @jax.jit
@@ -154,10 +157,10 @@ def test_scales_and_projectors_of_assemble():
     zero = jnp.zeros((6, 6))
     tangent = balance.element_tangent(rod, *configuration)
     plain = Scales(jnp.asarray(1.0), jnp.asarray(1.0))
-    raw = dense(assemble(rod, tangent, node, jnp.stack([zero, zero]), plain))
+    raw = dense(assemble(rod, tangent, node, jnp.stack([zero, zero]), BOTH, plain))
     length, force = 0.3, 7.0
     scales = Scales(jnp.asarray(length), jnp.asarray(force))
-    found = dense(assemble(rod, tangent, node, jnp.stack([zero, slider]), scales))
+    found = dense(assemble(rod, tangent, node, jnp.stack([zero, slider]), BOTH, scales))
     columns = np.tile(np.repeat([length, force, 1.0], 3), ELEMENTS + 1)
     rows = np.tile(np.repeat([1.0, 1 / force, 1 / (force * length)], 3), ELEMENTS + 1)
     expected = rows[:, None] * raw * columns[None, :]
@@ -169,7 +172,7 @@ def test_scales_and_projectors_of_assemble():
     expected[-6:, last] += slider
     np.testing.assert_allclose(found, expected, atol=1e-12 * np.max(np.abs(expected)))
     # the mass matrix in `node` sits on the nodes' own columns
-    without = dense(assemble(rod, tangent, 0 * node, jnp.stack([zero, zero]), plain))
+    without = dense(assemble(rod, tangent, 0 * node, jnp.stack([zero, zero]), BOTH, plain))
     difference = (raw - without).reshape(ELEMENTS + 1, 9, ELEMENTS + 1, 9)
     picked = difference[2, 3:, 2][:, [0, 1, 2, 6, 7, 8]]
     np.testing.assert_allclose(picked, node[2], atol=1e-12)

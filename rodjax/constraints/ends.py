@@ -282,15 +282,6 @@ def check_end(**ends) -> None:
     check_instance(AbstractEnd, "give an end: Free(), Clamped(), Pinned(), Slider(axis)", **ends)
 
 
-def impose(
-    rows: Float[Array, "nodes k"], aims: Float[Array, "2 k"], projectors: Float[Array, "2 k k"]
-) -> Float[Array, "nodes k"]:
-    """The nodes' rows, at both ends replaced in constrained directions: r + P (a - r)."""
-    both = jnp.stack([rows[0], rows[-1]])
-    both = both + jnp.einsum("eij,ej->ei", projectors, aims - both)
-    return jnp.concatenate([both[:1], rows[1:-1], both[1:]])
-
-
 def increments(
     end: AbstractEnd, start: Float[Array, ""], stop: Float[Array, ""], quaternion: Float[Array, "4"]
 ) -> Float[Array, "6"]:

@@ -32,6 +32,7 @@ from rodjax.rods.framing import of_one_sign
 from rodjax.rods.state import NodeMotion, State
 from rodjax.rods.strains import Strains, relative_rotation, strains
 from rodjax.scenes.arguments import check_scene
+from rodjax.scenes.holds import impose, rows_at
 from rodjax.scenes.scene import Scene, projectors
 
 
@@ -134,7 +135,7 @@ class _Constrained(eqx.Module):
     state: State
     kinematics: Strains
     rigid: Float[Array, "n 3"]  # 0 where the element is compliant
-    projectors: Float[Array, "2 6 6"]
+    projectors: Float[Array, "h 6 6"]
     scales: Scales
     mass: Float[Array, "nodes 6 6"]
     blocks: BlockTridiagonal  # of `multiply`, without derivative
@@ -150,7 +151,7 @@ class _Constrained(eqx.Module):
         matrix = _inertia_matrix(scene, state)
         scales = Scales(jnp.mean(rod.length), jnp.mean(matrix[:, 0, 0]) * jnp.mean(rod.length))
         tangent = balance.constraint_tangent(rod, kinematics)
-        blocks = _release(assemble(rod, tangent, matrix, both, scales), rigid)
+        blocks = _release(assemble(rod, tangent, matrix, both, scene.held_nodes, scales), rigid)
         blocks = lax.stop_gradient(blocks)
         return cls(scene, state, kinematics, rigid, both, scales, matrix, blocks)
 
@@ -163,8 +164,9 @@ class _Constrained(eqx.Module):
         wrench = jnp.einsum("nij,nj->ni", self.mass, rate) + balance.constraint_wrench(
             self.scene.rod, self.kinematics, scales.internal_force(x)
         )
-        moved = jnp.stack([rate[0], rate[-1]]) / scales.motion[None]
-        wrench = ends.impose(wrench / scales.wrench[None], moved, self.projectors)
+        nodes = self.scene.held_nodes
+        moved = rows_at(rate, nodes) / scales.motion[None]
+        wrench = impose(wrench / scales.wrench[None], moved, self.projectors, nodes)
         stretching = self.stretch_derivatives(rate, jnp.zeros_like(rate), 1)[0]
         constraint = self.rigid * stretching + (1 - self.rigid) * x[1:, 3:6]
         return residual_rows(x, constraint, wrench)
@@ -181,7 +183,8 @@ class _Constrained(eqx.Module):
         """Rates (n+1, 6) and multipliers (n, 3) for balance, constraint and end right sides."""
         scales = self.scales
         goals = jnp.stack(prescribed) / scales.motion[None]
-        right = ends.impose(wrench / scales.wrench[None], goals, self.projectors)
+        nodes = self.scene.held_nodes
+        right = impose(wrench / scales.wrench[None], goals, self.projectors, nodes)
         pad = jnp.zeros_like(constraint[:1])
         b = jnp.concatenate([jnp.concatenate([pad, constraint]), right], 1)
         x = newton.solve_linear(_LinearEquations(self, b))
@@ -194,9 +197,9 @@ class _Constrained(eqx.Module):
         )
 
     def prescribed(self, motion) -> tuple:
-        """What both ends prescribe: `motion` is `ends.rates` or `ends.jerk`."""
-        both = zip((0, -1), self.scene.ends, strict=True)
-        return tuple(motion(end, self.state.time, self.state.quaternion[i]) for i, end in both)
+        """What ends and supports prescribe: `motion` is `ends.rates` or `ends.jerk`."""
+        time, frames = self.state.time, self.state.quaternion
+        return tuple(motion(end, time, frames[node]) for _, node, end in self.scene.holds)
 
     def moving(self, rate) -> NodeMotion:
         """The nodes with these rates."""
@@ -210,8 +213,10 @@ class _Constrained(eqx.Module):
         """
         rate, still = self.state.rate, jnp.zeros_like(self.state.rate)
         gap = tuple(
-            velocity - rate[index]
-            for index, (velocity, _) in zip((0, -1), self.prescribed(ends.rates), strict=True)
+            velocity - rate[node]
+            for node, (velocity, _) in zip(
+                self.scene.held_nodes, self.prescribed(ends.rates), strict=True
+            )
         )
         stretching = self.stretch_derivatives(rate, still, 1)[0]
         new = rate + self.rates(still, -self.rigid * stretching, gap)[0]

@@ -40,7 +40,7 @@ def unexplained(scene: Scene, before: State, after: State) -> Float[Array, ""]:
     prescribed = ~side_by_side | scene.closed
     eye = jnp.eye(3, dtype=tangents.dtype)[None]
     for time in (before.time, after.time):
-        turning = projectors(scene, time)[:, 3:, 3:]
+        turning = projectors(scene, time)[:2, 3:, 3:]  # of the ends
         prescribed = prescribed & jnp.all(jnp.abs(turning - eye) < _HELD)
     both = jax.tree.map(lambda *leaves: jnp.stack(leaves), before, after)
     linking = jax.vmap(lambda state: twist(state) + writhe_of(scene.closed, state))(both)

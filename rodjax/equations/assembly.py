@@ -8,12 +8,12 @@ same order (constraint of that element, force balance over F, moment balance ove
 from typing import NamedTuple
 
 import jax.numpy as jnp
-from jax import lax
 from jaxtyping import Array, Float
 
 from rodjax.numerics.block_tridiagonal import BlockTridiagonal
 from rodjax.rods.balance import ElementTangent, scatter
 from rodjax.rods.rod import Rod
+from rodjax.scenes.holds import Node, with_part
 
 
 class Scales(NamedTuple):
@@ -62,16 +62,17 @@ def assemble(
     rod: Rod,
     tangent: ElementTangent,
     node: Float[Array, "nodes 6 6"],
-    projectors: Float[Array, "2 6 6"],
+    projectors: Float[Array, "h 6 6"],
+    nodes: tuple[Node, ...],
     scales: Scales,
 ) -> BlockTridiagonal:
     """The scaled block matrix of a Newton step.
 
     Block i has the columns (u_i, f of the element BEFORE node i, spin_i) and the rows
     (constraint of that element, force balance, moment balance); `node` holds what inertia and
-    nodal loads add to the balances. At either end the rows that `projectors` selects (constrained
-    directions of translation and of body rotation) become prescribed increments. With the
-    element before the node, no leading principal block is singular for a clamped first node.
+    nodal loads add to the balances. At the held `nodes` the rows that `projectors` select
+    (constrained directions of translation and of body rotation) become prescribed increments. With
+    the element before the node, no leading principal block is singular for a clamped first node.
     Scaled so: rows by 1, 1/F, 1/(F l); columns by l, F, 1 (F, l of `scales`).
     """
     l, f = scales.length, scales.force
@@ -108,18 +109,14 @@ def assemble(
     )
     diagonal = diagonal + after(as_first) + before(as_second)
 
-    # rows of the balances at both ends, of their own block and of that of the neighbour
-    first = jnp.concatenate([diagonal[0, 3:], upper[0, 3:]], 1)
-    last = jnp.concatenate([diagonal[-1, 3:], lower[-1, 3:]], 1)
-    balances = jnp.stack([first, last])
-    gap = jnp.zeros_like(projectors[:, :, :3])
-    aims = jnp.concatenate([projectors[:, :, :3], gap, projectors[:, :, 3:], gap, gap, gap], 2)
-    balances = balances + aims - projectors @ balances
-
-    def replaced(blocks, index, row):
-        return lax.dynamic_update_slice(blocks, row[None], (index, 3, 0))
-
-    diagonal = replaced(replaced(diagonal, 0, balances[0, :, :9]), n, balances[1, :, :9])
-    return BlockTridiagonal(
-        replaced(lower, n, balances[1, :, 9:]), diagonal, replaced(upper, 0, balances[0, :, 9:])
-    )
+    # rows of the balances at the nodes that are held, before, of, and after their own block
+    parts = [lower, diagonal, upper]
+    gap = jnp.zeros((6, 3), dtype)
+    for at, projector in zip(nodes, projectors, strict=True):
+        row = jnp.concatenate([part[at, 3:] for part in parts], 1)
+        aim = [gap, gap, gap, projector[:, :3], gap, projector[:, 3:], gap, gap, gap]
+        row = row + jnp.concatenate(aim, 1) - projector @ row
+        for k in range(3):
+            replaced = row[None, :, 9 * k : 9 * k + 9]
+            parts[k] = with_part(parts[k], replaced, (at, 3, 0))
+    return BlockTridiagonal(*parts)

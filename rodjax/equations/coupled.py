@@ -15,7 +15,7 @@ from rodjax.equations.dense_elimination import DenseElimination
 from rodjax.equations.strip_elimination import StripElimination
 from rodjax.interactions.contact_levels import Level
 from rodjax.numerics.batching import one_by_one
-from rodjax.numerics.block_tridiagonal import BlockTridiagonal
+from rodjax.numerics.block_tridiagonal import BlockTridiagonal, Factors
 
 
 class CoupledSystem(eqx.Module):
@@ -48,10 +48,11 @@ class CoupledSystem(eqx.Module):
         product = self.blocks.multiply(b[:, :, None])[:, :, 0]
         return product if self.coupling is None else product + self.coupling.multiply(b)
 
-    def eliminate(self) -> "Eliminated":
-        """The system, some pairs of which are near, ready for any number of right sides."""
+    def eliminate(self) -> "Eliminated | EliminatedApart":
+        """The system, of contact some pairs of which are near, ready for several right sides."""
         blocks, coupling = self.blocks, self.coupling
-        assert coupling is not None
+        if coupling is None:
+            return EliminatedApart(blocks.factorize())
 
         def numbers(level, blocks, coupling):
             return _elimination(level).of(blocks, coupling, level).numbers()
@@ -75,6 +76,16 @@ class CoupledSystem(eqx.Module):
 
         level = coupling.near.level - 1
         return Eliminated(coupling, *lax.switch(level, list(map(padded, each)), blocks, coupling))
+
+
+class EliminatedApart(eqx.Module):
+    """Factors of a system without coupling."""
+
+    factors: Factors
+
+    def solve(self, b: Float[Array, "nodes 9"]) -> Float[Array, "nodes 9"]:
+        """Solution for one right side."""
+        return self.factors.solve(b[:, :, None])[:, :, 0]
 
 
 class Eliminated(eqx.Module):
@@ -106,7 +117,7 @@ def _elimination(level: Level) -> type[DenseElimination] | type[StripElimination
 
 
 def _solve_apart(system: CoupledSystem, b):
-    return system.blocks.factorize().solve(b[:, :, None])[:, :, 0]
+    return EliminatedApart(system.blocks.factorize()).solve(b)
 
 
 def _solve_transpose_apart(system: CoupledSystem, b):

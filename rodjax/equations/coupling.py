@@ -17,6 +17,7 @@ from rodjax.interactions.contact_forces import forces_and_derivative, gather, jo
 from rodjax.interactions.contact_levels import Level, levels
 from rodjax.interactions.screening import Near, search
 from rodjax.rods.state import NodeMotion
+from rodjax.scenes.holds import Node, with_row
 from rodjax.scenes.scene import Scene
 
 
@@ -44,9 +45,9 @@ class Coupling(eqx.Module):
     right: Float[Array, "nodes 9 3"]  # where a node's displacement stands in its block column
     levels: tuple[Level, ...] = eqx.field(static=True)  # sizes with a solver
 
-    def held(self, projectors: Float[Array, "2 6 6"]) -> "Coupling":
-        """The same contact where the ends hold these directions."""
-        return dataclasses.replace(self, left=_balances(projectors, len(self.left)))
+    def held(self, projectors: Float[Array, "h 6 6"], nodes: tuple[Node, ...]) -> "Coupling":
+        """The same contact of a rod that is held so."""
+        return dataclasses.replace(self, left=_balances(projectors, nodes, len(self.left)))
 
     def transpose(self) -> "Coupling":
         """The coupling of the transposed matrix."""
@@ -65,12 +66,15 @@ class Coupling(eqx.Module):
         return jnp.einsum("jrk,jk->jr", self.left, spread(self.where, force, len(self.left)))
 
 
-def _balances(projectors: Float[Array, "2 6 6"], nodes: int) -> Float[Array, "nodes 9 3"]:
-    """Where a force enters the block rows of the nodes: nowhere in directions that ends hold."""
+def _balances(
+    projectors: Float[Array, "h 6 6"], nodes: tuple[Node, ...], count: int
+) -> Float[Array, "nodes 9 3"]:
+    """Where a force enters the block rows of the nodes: nowhere in directions that are held."""
     eye = jnp.eye(9, 3, k=-3, dtype=projectors.dtype)
-    left = jnp.broadcast_to(eye[None], (nodes, 9, 3))
-    ends = jnp.stack([left[0], left[-1]]).at[:, 3:].add(-projectors[:, :, :3])
-    return jnp.concatenate([ends[:1], left[1:-1], ends[1:]])
+    left = jnp.broadcast_to(eye[None], (count, 9, 3))
+    for node, projector in zip(nodes, projectors, strict=True):
+        left = with_row(left, node, eye - jnp.pad(projector[:, :3], ((3, 0), (0, 0))))
+    return left
 
 
 def couple(
@@ -78,7 +82,8 @@ def couple(
     nearby: Nearby,
     motion: NodeMotion,
     by_velocity: Float[Array, ""],
-    projectors: Float[Array, "2 6 6"],
+    projectors: Float[Array, "h 6 6"],
+    nodes: tuple[Node, ...],
     scales: Scales,
 ) -> tuple[Float[Array, "nodes 3"], Coupling]:
     """Contact forces on the nodes [N], and their derivative in a system as `assembly.assemble`'s.
@@ -89,14 +94,14 @@ def couple(
     joints, velocities = (interpolate(where, x) for x in (motion.position, motion.velocity))
     found = forces_and_derivative(contact, where, near, joints, velocities, by_velocity)
     assert found.derivative is not None
-    nodes = len(motion.position)
-    left = _balances(projectors, nodes)
+    count = len(motion.position)
+    left = _balances(projectors, nodes, count)
     coupling = Coupling(
         where,
         near,
         scales.length / scales.force * found.derivative,
         left,
         jnp.broadcast_to(jnp.eye(9, 3, dtype=left.dtype)[None], left.shape),
-        levels(contact, nodes - 1),
+        levels(contact, count - 1),
     )
-    return spread(where, found.force, nodes), coupling
+    return spread(where, found.force, count), coupling

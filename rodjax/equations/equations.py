@@ -20,6 +20,7 @@ from rodjax.numerics import newton, rotations
 from rodjax.numerics.batching import one_by_one
 from rodjax.rods import balance
 from rodjax.rods.state import NodeMotion, State, at_rest
+from rodjax.scenes.holds import impose, rows_at
 from rodjax.scenes.scene import Scene, projectors
 
 # Largest rotation of a node that Newton's iteration may begin with [rad].
@@ -36,10 +37,10 @@ class _Placed(NamedTuple):
 
 
 class _Goals(NamedTuple):
-    """Where the ends' schedules have them, from the nodes that increments count from."""
+    """Where schedules have what is held, from the nodes that increments count from."""
 
-    shift: Float[Array, "2 3"]
-    turn: Float[Array, "2 4"]
+    shift: Float[Array, "h 3"]
+    turn: Float[Array, "h 4"]
 
 
 Scheme = TypeVar("Scheme", bound=AbstractScheme)
@@ -53,7 +54,8 @@ class Equations(eqx.Module, Generic[Scheme]):
 
     Attributes:
         time: when loads and drives are evaluated [s].
-        projectors: directions that the ends hold.
+        projectors: directions that ends and supports hold.
+        goals: where they hold them.
         nearby: strands near each other, held while Newton iterates; None: those near at x.
     """
 
@@ -61,7 +63,7 @@ class Equations(eqx.Module, Generic[Scheme]):
     scheme: Scheme
     time: Float[Array, ""]
     scales: Scales
-    projectors: Float[Array, "2 6 6"]
+    projectors: Float[Array, "h 6 6"]
     goals: _Goals
     nearby: Nearby | None = None
 
@@ -74,7 +76,7 @@ class Equations(eqx.Module, Generic[Scheme]):
         time: Float[Array, ""],
         nearby: Nearby | None = None,
     ) -> "Equations[Scheme]":
-        """At `time`, the ends moved by their schedules since `start` as they are held there."""
+        """At `time`, what holds the rod at `start` moved by its schedules since."""
         goals = _goals(scene, scheme, start, time)
         held = projectors(scene, start.time)
         return cls(scene, scheme, time, _scales(scene, scheme), held, goals, nearby)
@@ -136,10 +138,10 @@ class Equations(eqx.Module, Generic[Scheme]):
         )
         wrench, constraint = self.scheme.completed(placed.change, wrench, constraint)
         scales = self.scales
-        gaps = _gaps(self.goals, placed.increment) / scales.motion[None]
-        return residual_rows(
-            x, constraint, ends.impose(wrench / scales.wrench[None], gaps, self.projectors)
-        )
+        nodes = self.scene.held_nodes
+        gaps = _gaps(self.goals, rows_at(placed.increment, nodes)) / scales.motion[None]
+        balances = impose(wrench / scales.wrench[None], gaps, self.projectors, nodes)
+        return residual_rows(x, constraint, balances)
 
     def linearize(self, x) -> CoupledSystem | AnchoredSystem:
         """Derivative of the residual by the increments that `lift` takes."""
@@ -159,7 +161,8 @@ class Equations(eqx.Module, Generic[Scheme]):
             return None, None
         by_velocity = jnp.zeros_like(self.scales.force) if slopes is None else slopes.by_velocity
         nearby = self._near(motion.position)
-        return couple(contact, nearby, motion, by_velocity, self.projectors, self.scales)
+        held = self.projectors, self.scene.held_nodes
+        return couple(contact, nearby, motion, by_velocity, *held, self.scales)
 
     def _system(self, x, placed: _Placed, coupling: Coupling | None):
         scene, scheme, motion = self.scene, self.scheme, placed.motion
@@ -173,15 +176,15 @@ class Equations(eqx.Module, Generic[Scheme]):
         )
         node = node_tangent(scene, motion, moving=moving, load_factor=scheme.load_part())
         node = scheme.stiffened(placed.change, node)
-        blocks = lambda held: assemble(scene.rod, tangent, node, held, self.scales)
-        system = CoupledSystem(blocks(self.projectors), coupling)
-        if slopes is not None or scene.first_end.clamped:
+        blocks = lambda held, nodes: assemble(scene.rod, tangent, node, held, nodes, self.scales)
+        nodes = scene.held_nodes
+        system = CoupledSystem(blocks(self.projectors, nodes), coupling)
+        if slopes is not None or (scene.first_end.clamped and not scene.supports):
             return system
-        # what lies before a node is not held without inertia: see `anchored`
-        eye = jnp.eye(6, dtype=x.dtype)
-        other = jnp.stack([eye, jnp.zeros_like(eye)])
-        held = None if coupling is None else coupling.held(other)
-        return AnchoredSystem(system, CoupledSystem(blocks(other), held))
+        # what lies before a node is not held without inertia, or held twice: see `anchored`
+        cantilever = jnp.eye(6, dtype=x.dtype)[None], (0,)
+        held = None if coupling is None else coupling.held(*cantilever)
+        return AnchoredSystem(system, CoupledSystem(blocks(*cantilever), held), nodes)
 
     def iterate(self, x, tolerance, max_iterations):
         """Newton's iteration, with a held derivative where pairs are near.
@@ -283,11 +286,11 @@ def _scales(scene: Scene, scheme: AbstractScheme) -> Scales:
 
 
 def _goals(scene: Scene, scheme: AbstractScheme, start: State, time) -> _Goals:
-    both = lambda rows: jnp.stack([rows[0], rows[-1]])
+    both = lambda rows: rows_at(rows, scene.held_nodes)
     frames, (position, quaternion) = both(start.quaternion), scheme.origin()
     moved = [
         ends.increments(end, start.time, time, frame)
-        for end, frame in zip(scene.ends, frames, strict=True)
+        for (_, _, end), frame in zip(scene.holds, frames, strict=True)
     ]
     moved = jnp.stack(moved)
     turn = rotations.multiply(frames, rotations.exponential(moved[:, 3:]))
@@ -295,8 +298,7 @@ def _goals(scene: Scene, scheme: AbstractScheme, start: State, time) -> _Goals:
     return _Goals(moved[:, :3] - both(position - start.position), turn)
 
 
-def _gaps(goals: _Goals, increment) -> Float[Array, "2 6"]:
-    """What the ends lack: displacement, and rotation as the body spin to undo."""
-    moved = jnp.stack([increment[0], increment[-1]])
+def _gaps(goals: _Goals, moved: Float[Array, "h 6"]) -> Float[Array, "h 6"]:
+    """What they lack after such increments: displacement, rotation as the body spin to undo."""
     turn = rotations.multiply(rotations.conjugate(goals.turn), rotations.exponential(moved[:, 3:]))
     return jnp.concatenate([moved[:, :3] - goals.shift, rotations.logarithm(turn)], 1)

@@ -52,7 +52,8 @@ def check_held(
         if any(isinstance(value, jax.core.Tracer) for value in needed):
             # where neither end holds the tangent, loads must
             return Hold(loads=not np.any(both[:, (3, 4), (3, 4)] > 0), spin=spin)
-        free = _free_motions(scene, state, both, spin)
+        nodes = [int(node) for node in scene.held_nodes]
+        free = _free_motions(scene, state, both, nodes, spin)
         if len(free) == 0:
             return Hold(spin=spin)
         if any(load.may_hold for load in scene.loads):
@@ -70,13 +71,13 @@ def check_held(
     return Hold(loads=True, spin=spin)
 
 
-def _free_motions(scene: Scene, state: State, both, spin: bool):
-    """Rigid motions that the ends allow: translation over the length, rotation about node 0."""
+def _free_motions(scene: Scene, state: State, both, nodes, spin: bool):
+    """Rigid motions that are left free: translation over the length, rotation about node 0."""
     # by numpy: under a transformation even a known value becomes traced by a `custom_jvp`
     length = float(np.sum(np.asarray(scene.rod.length)))
     position, quaternion = np.asarray(state.position), np.asarray(state.quaternion)
     rows = []
-    for index, projector in zip((0, -1), both, strict=True):
+    for index, projector in zip(nodes, both, strict=True):
         arm = (position[index] - position[0]) / length
         w, v = quaternion[index, 0], quaternion[index, 1:]
         frame = np.eye(3) + 2 * (w * _skew(v) + _skew(v) @ _skew(v))

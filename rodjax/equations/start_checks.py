@@ -16,9 +16,10 @@ from rodjax.inputs.validation import known
 from rodjax.interactions.loads import total_wrench
 from rodjax.numerics import rotations
 from rodjax.numerics.compilation import compiled
-from rodjax.rods.balance import constraint_tangent, scatter
+from rodjax.rods.balance import constraint_tangent
 from rodjax.rods.state import State, at_rest, moved
 from rodjax.rods.strains import strains
+from rodjax.scenes.holds import rows_at
 from rodjax.scenes.scene import Scene, projectors
 
 
@@ -29,41 +30,42 @@ def _all_known(*trees) -> bool:
 
 @compiled
 def least_hold(scene: Scene, state: State) -> Float[Array, ""]:
-    """How far the directions that the ends hold are from depending on each other: 0 if they do.
+    """How far the directions that are held are from depending on each other: 0 if they do.
 
     Inextensibility leaves as motions the displacement of node 0 (over L), the spins of the nodes
     and, where the rod is compliant, stretch and shear of the elements, in the norm of the integral
-    of their squares over s / L. On them the rates that the ends hold are rows; this is the least
-    singular value. Of a rod held at both ends along its chord it is the root mean square angle
-    between rod and chord, over sqrt(2): a straight inextensible rod is held twice, since to first
-    order the distance of its ends cannot change. The system for the forces has its square left.
+    of their squares over s / L. On them the rates that ends and supports hold are rows; this is the
+    least singular value. Of a rod held at both ends along its chord it is the root mean square
+    angle between rod and chord, over sqrt(2): a straight inextensible rod is held twice, since to
+    first order the distance of its ends cannot change. The system for the forces has its square
+    left.
     """
     rod = scene.rod
     kinematics = strains(rod, state.position, rotations.normalize(state.quaternion))
     shear = constraint_tangent(rod, kinematics).constraint_spin
     total = jnp.sum(rod.length)
-    share, weight = rod.length / total, jnp.sqrt(rod.node_length / total)
-    # u_n = u_0 + sum of ds E (g - shear (dtheta_i, dtheta_i+1)), see `balance`
-    edge = -share[:, None, None] * (kinematics.frame @ shear)
-    spins = scatter(edge[:, :, :3], edge[:, :, 3:]) / weight[:, None, None]
-    eye = jnp.eye(3, dtype=spins.dtype)
-    none = jnp.zeros_like(eye)
-    last = eye + jnp.einsum("nij,nkj->ik", spins, spins)
-    if rod.compliance is not None:
-        give = share[:, None] * (rod.compliance > 0).astype(share.dtype)
-        last = last + jnp.einsum("nij,nj,nkj->ik", kinematics.frame, give, kinematics.frame)
-    # products of the rows of u_0, dtheta_0, u_n, dtheta_n
-    rows = [
-        [eye, none, eye, none],
-        [none, eye, spins[0].T, none],
-        [eye, spins[0], last, spins[-1]],
-        [none, none, spins[-1].T, eye],
-    ]
-    gram = jnp.block(rows)
-    first_end, last_end = projectors(scene, state.time)
-    held = jax.scipy.linalg.block_diag(first_end, last_end)
-    free = jnp.eye(12, dtype=held.dtype) - held
-    squares = jnp.linalg.eigvalsh(held @ gram @ held + free)
+    share, weight = rod.length / total, jnp.sqrt(rod.node_length / total)[:, None]
+    give = 0.0 if rod.compliance is None else (rod.compliance > 0).astype(share.dtype)
+    nodes = scene.held_nodes
+
+    def held_motions(first, spins, stretch):
+        """Displacements and spins of the held nodes, see `balance`."""
+        spins = spins / weight
+        both = jnp.concatenate([spins[:-1], spins[1:]], 1)
+        edge = jnp.sqrt(share)[:, None] * give * stretch
+        edge = edge - share[:, None] * jnp.einsum("nij,nj->ni", shear, both)
+        edge = jnp.einsum("nij,nj->ni", kinematics.frame, edge)
+        moved = jnp.cumsum(jnp.concatenate([first[None], edge]), 0)
+        return rows_at(jnp.concatenate([moved, spins], 1), nodes)
+
+    zero = jnp.zeros_like(state.position)
+    parameters = zero[0], zero, zero[1:]
+    rows = jax.jacrev(held_motions, (0, 1, 2))(*parameters)
+    held = projectors(scene, state.time)
+    rows = [jnp.einsum("eij,ej...->ei...", held, part) for part in rows]
+    rows = jnp.concatenate([part.reshape(6 * len(nodes), -1) for part in rows], 1)
+    free = jax.scipy.linalg.block_diag(*(jnp.eye(6, dtype=held.dtype)[None] - held))
+    squares = jnp.linalg.eigvalsh(rows @ rows.T + free)
     return jnp.sqrt(jnp.maximum(squares[0], 0.0))
 
 

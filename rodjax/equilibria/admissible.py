@@ -38,7 +38,7 @@ class Admissible(NamedTuple):
     basis: Float[Array, "m nodes 6"]  # displacement over L and body spin, for each parameter
     stiffness: Float[Array, "m m"]
     norm: Float[Array, " m"]  # weights of the rotational norm (diagonal)
-    ends: Float[Array, "12 m"]  # rows that must vanish
+    ends: Float[Array, "6*h m"]  # rows that must vanish
 
     def on_motions(self, nodes: Float[Array, "nodes 6 6"]) -> Float[Array, "m m"]:
         """A matrix of the nodes on the motions."""
@@ -105,13 +105,13 @@ def allowed(
 
 def constrained(
     scene: Scene,
-    both: Float[Array, "2 6 6"],
+    both: Float[Array, "h 6 6"],
     basis: Float[Array, "m nodes 6"],
     stiffness: Float[Array, "m m"],
 ) -> Admissible:
     """Allowed motions with the tangent of the balances on them, the compliance's springs added.
 
-    `both` are the projectors of the ends.
+    `both` are the projectors of ends and supports.
     """
     rod, compliance = scene.rod, scene.rod.compliance
     length = jnp.sum(rod.length)
@@ -126,7 +126,7 @@ def constrained(
         spring = jnp.where((compliance > 0).ravel(), spring, stiff)
         stiffness = stiffness + jnp.diag(jnp.concatenate([jnp.zeros_like(norm), spring]))
         norm = jnp.concatenate([norm, ds])
-    held = [p @ basis[:, i].T for p, i in zip(both, (0, -1), strict=True)]
+    held = [p @ basis[:, i].T for p, i in zip(both, scene.held_nodes, strict=True)]
     return Admissible(basis, stiffness, norm, jnp.concatenate(held))
 
 

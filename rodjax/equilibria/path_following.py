@@ -137,7 +137,7 @@ def follow(
         )
         opening = path.unstable == _UNKNOWN
         step, driven = path.step, jnp.asarray(False)
-        if any(end.rotation is not None for end in scene.ends):
+        if any(held.end.rotation is not None for held in scene.holds):
             now, frames = when(path.reached), path.reference[1]
             far = lambda step: drives.too_fast(scene, now, when(whole(step)), frames, _TURN)
             halving = lambda step: far(step) & (step > smallest)

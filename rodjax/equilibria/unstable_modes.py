@@ -7,7 +7,8 @@ counted by block elimination: the negative eigenvalues of M are those of its piv
 Haynsworth). It is the cantilever's, clamped at node 0, of which every part is held; the motion of
 node 0 and the wrenches that hold the ends follow from a small bordered matrix (see `anchored`).
 
-Where strands touch, K is formed on the admissible motions instead and its eigenvalues counted.
+Where strands touch or supports hold the rod between its ends, K is formed on the admissible motions
+instead and its eigenvalues counted.
 
 Loads without a potential (followers, dead end moments) have a tangent without symmetry. There the
 sign of its determinant tells whether the number of modes that diverge is odd; flutter is not seen.
@@ -31,6 +32,7 @@ from rodjax.numerics.eigenvalues import far_above, split
 from rodjax.numerics.signs import determinant_signs, negative_eigenvalues
 from rodjax.rods import balance
 from rodjax.rods.state import NodeMotion
+from rodjax.scenes.holds import with_row
 from rodjax.scenes.scene import Scene
 
 # Rows of a block in the order of its columns: (force, constraint, moment).
@@ -38,9 +40,6 @@ _ORDER = np.array([3, 4, 5, 0, 1, 2, 6, 7, 8])
 
 # Columns of a block that are motions of its node.
 _MOTION = np.array([0, 1, 2, 6, 7, 8])
-
-# Nodes that ends hold.
-_ENDS = np.array([0, -1])
 
 # How stiff what holds an end is, in scaled units: two clamps may hold the same thing twice.
 _END_COMPLIANCE = 1e-9
@@ -78,16 +77,18 @@ def _count(equations: Equations[AtRest], x, added: Float[Array, "nodes 6"]) -> I
     blocks = _tangent(equations, x)
     even = _asymmetry(equations, blocks) < 10 * jnp.sqrt(jnp.finfo(x.dtype).eps)
     by_elimination = lambda: _eliminated(equations, blocks, added, even)
-    contact = equations.scene.contact
-    if contact is None:
+    contact, supports = equations.scene.contact, equations.scene.supports
+    if contact is None and not supports:
         return by_elimination()
-    motion = equations.motion(x)
-    nearby = find_nearby(equations.scene, motion.position)
-    never = jnp.zeros((2, 6, 6), x.dtype)
-    coupling = couple(contact, nearby, motion, jnp.zeros((), x.dtype), never, equations.scales)[1]
-
-    assert coupling is not None
+    motion, coupling = equations.motion(x), None
     by_eigenvalues = lambda: _reduced(equations, motion, blocks, coupling, added, even)
+    if contact is None:
+        return by_eigenvalues()
+    nearby = find_nearby(equations.scene, motion.position)
+    still, nowhere = jnp.zeros((), x.dtype), (jnp.zeros((0, 6, 6), x.dtype), ())
+    coupling = couple(contact, nearby, motion, still, *nowhere, equations.scales)[1]
+    if supports:
+        return by_eigenvalues()
     return lax.cond(nearby.near.level > 0, by_eigenvalues, by_elimination)
 
 
@@ -102,13 +103,13 @@ def _tangent(equations: Equations[AtRest], x) -> BlockTridiagonal:
     # end is
     lacking = scheme.lacking.moment
     holding = equations.projectors[:, 3:, 3:]
-    reaction = jnp.einsum("eij,ej->ei", holding, lacking[_ENDS])
-    lacking = lacking.at[_ENDS].add(-reaction)
+    for place, held in zip(scene.held_nodes, holding, strict=True):
+        lacking = with_row(lacking, place, lacking[place] - held @ lacking[place])
     if scheme.resistance is not None:
         lacking = lacking - scheme.resistance[:, 3:] * x[:, 6:]
     node = node.at[:, 3:, 3:].add(-0.5 * rotations.hat(lacking))
-    never = jnp.zeros((2, 6, 6), node.dtype)
-    blocks = assemble(scene.rod, elements, node, never, equations.scales)
+    nowhere = jnp.zeros((0, 6, 6), node.dtype), ()
+    blocks = assemble(scene.rod, elements, node, *nowhere, equations.scales)
     # in units in which the tangent is a second derivative
     length = equations.scales.length
     edges = jnp.concatenate([length[None], scene.rod.length]) / length
@@ -131,18 +132,13 @@ def _symmetric(blocks: BlockTridiagonal) -> BlockTridiagonal:
 def _asymmetry(equations: Equations[AtRest], blocks: BlockTridiagonal) -> Float[Array, ""]:
     """Largest entry of the antisymmetric part on motions that the ends allow (scaled)."""
     odd = jax.tree.map(lambda a, b: a - b, blocks, blocks.transpose())
-    both = equations.projectors
-    free = jnp.eye(6, dtype=both.dtype)[None] - both
-    free = (
-        jnp.broadcast_to(jnp.eye(9, dtype=both.dtype), (2, 9, 9))
-        .at[:, _MOTION[:, None], _MOTION]
-        .set(free)
-    )
-    diagonal = odd.diagonal.at[0].set(free[0] @ odd.diagonal[0] @ free[0])
-    diagonal = diagonal.at[-1].set(free[1] @ odd.diagonal[-1] @ free[1])
-    upper = odd.upper[:-1]
-    upper = upper.at[0].set(free[0] @ upper[0])
-    upper = upper.at[-1].set(upper[-1] @ free[1])
+    # of every node, what it is free to do
+    free = jnp.broadcast_to(jnp.eye(9, dtype=odd.diagonal.dtype), odd.diagonal.shape)
+    for node, held in zip(equations.scene.held_nodes, equations.projectors, strict=True):
+        own = free[node].at[_MOTION[:, None], _MOTION].add(-held)
+        free = with_row(free, node, own)
+    diagonal = free @ odd.diagonal @ free
+    upper = free[:-1] @ odd.upper[:-1] @ free[1:]
     return jnp.maximum(jnp.max(jnp.abs(diagonal)), jnp.max(jnp.abs(upper)))
 
 
@@ -190,7 +186,7 @@ def _reduced(
     equations: Equations[AtRest],
     motion: NodeMotion,
     blocks: BlockTridiagonal,
-    coupling: Coupling,
+    coupling: Coupling | None,
     added,
     even: Bool[Array, ""],
 ) -> Int[Array, ""]:
@@ -204,7 +200,8 @@ def _reduced(
     moved = unit * basis
     columns = jnp.insert(moved, np.array([3, 3, 3]), 0.0, axis=2)
     pushed = jnp.moveaxis(blocks.multiply(jnp.moveaxis(columns, 0, 2)), 2, 0)[:, :, _MOTION]
-    pushed = pushed + jax.vmap(coupling.multiply)(columns)[:, :, 3:]
+    if coupling is not None:
+        pushed = pushed + jax.vmap(coupling.multiply)(columns)[:, :, 3:]
     size = len(basis)
     stiffness = moved.reshape(size, -1) @ pushed.reshape(size, -1).T
     energy = mean_bending(scene) / jnp.sum(scene.rod.length)

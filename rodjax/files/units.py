@@ -82,6 +82,7 @@ _TEMPLATES = {
     "LinearDrag.tangential": "{force} {time}/{length}^2",
     "LinearDrag.rotational": "{force} {time}",
     "PointLoad.node": "1",
+    "Support.node": "1",
     "PointLoad.force": "{force}",
     "PointLoad.moment": "{force} {length}",
     "GeneralizedAlpha.spectral_radius": "1",

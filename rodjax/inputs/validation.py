@@ -269,3 +269,18 @@ def check_instance(kind: type | tuple[type, ...], mend: str, **values) -> None:
                 f"{name}: {value.__name__} is a class; give one of its kind, {value.__name__}(...)"
             )
         raise ValueError(f"{name}: {mend}; got {shown(value)}")
+
+
+def as_node(node) -> Any:
+    """The number as an array, which does not make the program; what is no integer is left."""
+    if isinstance(node, int) and not isinstance(node, bool) and abs(node) < 2**31:
+        return jnp.asarray(node, jnp.int32)
+    whole = jnp.issubdtype(getattr(node, "dtype", float), jnp.integer)
+    return jnp.asarray(node, jnp.int32) if whole else node
+
+
+def check_node(node) -> None:
+    """Raise ValueError unless it is the number of one node, as `as_node` gives it."""
+    kind = getattr(node, "dtype", None)
+    if kind is None or jnp.shape(node) != () or not jnp.issubdtype(kind, jnp.integer):
+        raise ValueError(f"node: give the number of one node, an integer; got {shown(node)}")

@@ -8,7 +8,6 @@ import abc
 import functools
 import operator
 from collections.abc import Callable
-from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -19,10 +18,12 @@ from rodjax.inputs.user_functions import check_function
 from rodjax.inputs.validation import (
     as_float,
     as_float_or_none,
+    as_node,
     as_traced,
     check_arrays_of_numbers,
     check_finite,
     check_flag,
+    check_node,
     check_not_negative,
     check_numbers,
     check_scalar,
@@ -307,14 +308,6 @@ class DistributedLoad(AbstractLoad):
         return rod.node_length[:, None] * per_length
 
 
-def _node_number(node) -> Any:
-    """The number as an array, which does not make the program; what is no integer is left."""
-    if isinstance(node, int) and not isinstance(node, bool) and abs(node) < 2**31:
-        return jnp.asarray(node, jnp.int32)
-    whole = jnp.issubdtype(getattr(node, "dtype", float), jnp.integer)
-    return jnp.asarray(node, jnp.int32) if whole else node
-
-
 class PointLoad(AbstractLoad):
     """Force and moment on one node, dead or following the cross-section.
 
@@ -326,17 +319,13 @@ class PointLoad(AbstractLoad):
         follower: whether force and moment turn with the cross-section of the node.
     """
 
-    node: Int[Array, ""] = eqx.field(converter=_node_number)
+    node: Int[Array, ""] = eqx.field(converter=as_node)
     force: AbstractSchedule | None = None
     moment: AbstractSchedule | None = None
     follower: bool = eqx.field(static=True, default=False)
 
     def __check_init__(self):
-        kind = getattr(self.node, "dtype", None)
-        if kind is None or jnp.shape(self.node) != () or not jnp.issubdtype(kind, jnp.integer):
-            raise ValueError(
-                f"node: give the number of one node, an integer; got {shown(self.node)}"
-            )
+        check_node(self.node)
         check_flag(follower=self.follower)
         mend = "give a schedule of three components, for one that stays Constant((0, 0, 1))"
         check_schedule((3,), mend, **given(force=self.force, moment=self.moment))

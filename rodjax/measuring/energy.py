@@ -30,6 +30,7 @@ from rodjax.rods import inertia
 from rodjax.rods.rod import Rod
 from rodjax.rods.state import NodeMotion, State, at_rest
 from rodjax.rods.strains import curvature, strains
+from rodjax.scenes.holds import rows_at
 from rodjax.scenes.scene import Scene, projectors
 
 
@@ -121,43 +122,43 @@ def contact_wrench(scene: Scene, state: State) -> Float[Array, "nodes 6"]:
     return jnp.concatenate([forces, jnp.zeros_like(forces)], 1)
 
 
-def _unbalanced_ends(
+def _unbalanced(
     scene: Scene, state: State, from_contact: Float[Array, "nodes 6"] | None
-) -> Float[Array, "2 6"]:
-    """Inertia + internal - external wrench of the two end nodes: what the ends must supply."""
+) -> Float[Array, "h 6"]:
+    """Inertia + internal - external wrench of the nodes that are held: what must be supplied."""
     motion, acceleration = node_motion(state), state.acceleration
     wrench, _ = imbalance(scene, motion, state.force, acceleration=acceleration)
     if from_contact is not None:
         wrench = wrench - from_contact
-    return jnp.stack([wrench[0], wrench[-1]])
+    return rows_at(wrench, scene.held_nodes)
 
 
 class Reactions(NamedTuple):
-    """What the two ends exert on the rod, that at s = 0 first.
+    """What the ends exert on the rod, that at s = 0 first, then the supports in their order.
 
     Attributes:
         force: inertial components [N].
-        torque: about the end's own node, inertial components [N m].
-        body_torque: the same in the end's cross-section frame (a_1, a_2, tangent).
+        torque: about the held node, inertial components [N m].
+        body_torque: the same in the node's cross-section frame (a_1, a_2, tangent).
     """
 
-    force: Float[Array, "2 3"]  # inertial components [N]
-    torque: Float[Array, "2 3"]  # about the end's own node, inertial components [N m]
-    body_torque: Float[Array, "2 3"]  # the same in the end's cross-section frame
+    force: Float[Array, "h 3"]  # inertial components [N]
+    torque: Float[Array, "h 3"]  # about the held node, inertial components [N m]
+    body_torque: Float[Array, "h 3"]  # the same in the node's cross-section frame
 
 
 def reactions(scene: Scene, state: State) -> Reactions:
-    """Force and torque by which the constraints of the ends act on the rod at a state.
+    """Force and torque by which the constraints of ends and supports act on the rod at a state.
 
-    The imbalance of the end nodes in the directions that are constrained from `state.time` on;
+    The imbalance of the held nodes in the directions that are constrained from `state.time` on;
     zero in the free ones. Curves over a run are one line each:
         torque about an axis:    jax.lax.map(lambda s: reactions(scene, s).torque[0] @ axis, states)
         force along the axis:    jax.lax.map(lambda s: reactions(scene, s).force[1] @ axis, states)
     """
     touching = None if scene.contact is None else contact_wrench(scene, state)
-    unbalanced = _unbalanced_ends(scene, state, touching)
+    unbalanced = _unbalanced(scene, state, touching)
     supplied = jnp.einsum("eij,ej->ei", projectors(scene, state.time), unbalanced)
-    frames = jnp.stack([state.quaternion[0], state.quaternion[-1]])
+    frames = rows_at(state.quaternion, scene.held_nodes)
     return Reactions(supplied[:, :3], rotations.rotate(frames, supplied[:, 3:]), supplied[:, 3:])
 
 
@@ -170,7 +171,7 @@ class Ledger(NamedTuple):
 
     Attributes:
         time: [s]; all that follows [J].
-        drive_work: done by the prescribed motion of both ends.
+        drive_work: done by the prescribed motion of ends and supports.
         load_work: done by loads whose role is DRIVEN (`Role`).
         bending, torsion: stored by Eq. (4), in A1 and A2, and in C.
         axial: stored in stretch and shear.
@@ -186,7 +187,7 @@ class Ledger(NamedTuple):
     """
 
     time: Float[Array, " k"]
-    drive_work: Float[Array, " k"]  # of both ends' prescribed motion [J]
+    drive_work: Float[Array, " k"]  # of prescribed motions [J]
     load_work: Float[Array, " k"]  # of loads that are DRIVEN [J]
     bending: Float[Array, " k"]
     torsion: Float[Array, " k"]
@@ -233,7 +234,7 @@ class Ledger(NamedTuple):
 class _Acting(NamedTuple):
     """Wrenches that do work on the rod at one state; None where the scene has none of the kind."""
 
-    ends: Float[Array, "2 6"]
+    ends: Float[Array, "h 6"]  # and supports
     loads: Float[Array, "nodes 6"] | None
     drag: Float[Array, "nodes 6"] | None
     damping: Float[Array, "nodes 6"] | None
@@ -260,7 +261,7 @@ def _acting(scene: Scene, state: State, nearby: Nearby | None) -> _Acting:
         damping = damping - resting
 
     return _Acting(
-        _unbalanced_ends(scene, state, touching),
+        _unbalanced(scene, state, touching),
         total(Role.DRIVEN),
         total(Role.DRAG),
         damping,
@@ -349,8 +350,8 @@ def ledger(scene: Scene, run: Run) -> Ledger:
         def work(a, b):
             return zero if a is None else 0.5 * jnp.sum((a + b) * moved)
 
-        ends_moved = jnp.stack([moved[0], moved[-1]])
-        constrained = jnp.einsum("eij,ej->ei", projectors(scene, before.time), ends_moved)
+        held_moved = rows_at(moved, scene.held_nodes)
+        constrained = jnp.einsum("eij,ej->ei", projectors(scene, before.time), held_moved)
         gains = jnp.stack(
             [
                 0.5 * jnp.sum((old.ends + new.ends) * constrained),

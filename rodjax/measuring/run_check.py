@@ -114,7 +114,7 @@ def _result(run: Run) -> Finding | None:
 def _schedules(scene: Scene, run: Run, method) -> dict[str, Finding | None]:
     steps = run.infos.iterations.shape[0]
     topics: dict[str, Finding | None] = {}
-    driven = any(e.displacement is not None or e.rotation is not None for e in scene.ends)
+    driven = any(h.end.displacement is not None or h.end.rotation is not None for h in scene.holds)
     if driven and len(run.times) > 1:
         allowed = method.newton_error(run.states.position.dtype, steps)
         off = drives.astray(scene, run.states, allowed)

@@ -35,6 +35,7 @@ from rodjax.rods.inertia import node_inertia
 from rodjax.rods.rod import Rod
 from rodjax.rods.state import NodeMotion, State
 from rodjax.rods.strains import strains
+from rodjax.scenes.holds import impose
 from rodjax.scenes.scene import Scene, projectors
 
 
@@ -121,7 +122,7 @@ def _accelerations(scene: Scene, motion: NodeMotion, both, prescribed) -> Float[
     else:
         linear = wrench[:, :3] / mass[:, None]
     free = jnp.concatenate([linear, angular], 1)
-    return ends.impose(free, jnp.stack([prescribed[0], prescribed[-1]]), both)
+    return impose(free, jnp.stack([prescribed[0], prescribed[-1]]), both, scene.held_nodes)
 
 
 def _with_added_mass(mass, added, force, both, prescribed):
@@ -154,6 +155,8 @@ def _check(scene: Scene) -> None:
             )
     if scene.contact is not None:
         raise ValueError("contact: not part of the differential equation; use rodjax.rollout")
+    if scene.supports:
+        raise ValueError("supports: not part of the differential equation; use rodjax.rollout")
     if scene.switch_times:
         raise ValueError(
             "first_end, last_end: a constraint that changes gives an impulse; integrate up to the"

@@ -1,4 +1,4 @@
-"""What the drives of the ends prescribe over a step, and whether a motion followed them.
+"""What the drives of ends and supports prescribe over a step, and whether a motion followed them.
 
 A rotation is known modulo whole turns only: what an end turns in one step must stay below half a
 turn, else the step would find it turned by less, or not at all, and be none the wiser.
@@ -33,9 +33,9 @@ def too_fast(
     leaves free does not count.
     """
     turns = []
-    for index, end in zip((0, -1), scene.ends, strict=True):
+    for _, node, end in scene.holds:
         if end.rotation is not None:
-            turn = ends.increments(end, start, stop, quaternion[index])[3:]
+            turn = ends.increments(end, start, stop, quaternion[node])[3:]
             turns.append(end.projector(start).astype(turn.dtype)[3:, 3:] @ turn)
     if not turns:
         return None
@@ -69,9 +69,10 @@ def _off(scene: Scene, states: State, first: int, last: int) -> float:
     late = jnp.nextafter(stop, start)
     held = np.asarray(projectors(scene, start)), np.asarray(projectors(scene, late))
     length, worst = float(np.mean(np.asarray(scene.rod.length))), 0.0
-    for k, index, end in zip((0, 1), (0, -1), scene.ends, strict=True):
+    for k, (_, node, end) in enumerate(scene.holds):
         if not np.allclose(held[0][k], held[1][k]):
             continue
+        index = int(node)
         frames = states.quaternion[first, index], states.quaternion[last, index]
         wanted = ends.increments(end, start, stop, frames[0])
         moved = states.position[last, index] - states.position[first, index]

@@ -1,4 +1,4 @@
-"""A scene: one rod, what holds its ends, what loads it, and whether it touches itself."""
+"""A scene: one rod, what holds it, what loads it, and whether it touches itself."""
 
 import dataclasses
 
@@ -10,12 +10,14 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from rodjax.constraints.ends import AbstractEnd, Free, check_end
+from rodjax.constraints.supports import Support
 from rodjax.inputs.brief import brief
-from rodjax.inputs.validation import as_traced, check_instance
+from rodjax.inputs.validation import as_traced, check_instance, known
 from rodjax.interactions.contact import Contact
 from rodjax.interactions.loads import AbstractLoad
 from rodjax.rods.rod import Rod
 from rodjax.scenes import probing
+from rodjax.scenes.holds import Held, Node
 from rodjax.scenes.potentials import check_potential
 
 
@@ -33,6 +35,7 @@ class Scene(eqx.Module):
         first_end, last_end: what holds it at s = 0 and at s = L.
         loads: what acts on it, a tuple of loads.
         contact: whether and how it touches itself; None for strands that pass through each other.
+        supports: what holds it between its ends, a tuple of `Support`.
     """
 
     rod: Rod
@@ -41,6 +44,7 @@ class Scene(eqx.Module):
     last_end: AbstractEnd = eqx.field(converter=_with_arrays, default=Free())
     loads: tuple[AbstractLoad, ...] = eqx.field(converter=_with_arrays, default=())
     contact: Contact | None = eqx.field(converter=_with_arrays, default=None)
+    supports: tuple[Support, ...] = eqx.field(converter=_with_arrays, default=())
 
     def __post_init__(self):
         if isinstance(self.contact, Contact) and isinstance(self.rod, Rod):
@@ -55,8 +59,9 @@ class Scene(eqx.Module):
         for i, load in enumerate(self.loads):
             probing.check_local(load, self.rod, f"loads[{i}]")
             check_potential(load, self.rod, f"loads[{i}]")
-        for name, end in zip(("first_end", "last_end"), self.ends, strict=True):
-            probing.check_end(end, name)
+        for held in self.holds:
+            probing.check_end(held.end, held.name)
+        self._check_supports()
         if self.contact is not None:
             self.contact.check(self.rod)
         if self.rod.mass is None:
@@ -70,9 +75,32 @@ class Scene(eqx.Module):
             raise ValueError("loads: give a tuple, for one load (load,)")
         mend = "give a load such as Gravity((0, 0, -9.81))"
         check_instance(AbstractLoad, mend, **{f"loads[{i}]": x for i, x in enumerate(self.loads)})
+        if not isinstance(self.supports, tuple):
+            raise ValueError("supports: give a tuple, for one support (support,)")
+        mend = "give a support such as Support(node, Pinned())"
+        named = {f"supports[{i}]": x for i, x in enumerate(self.supports)}
+        check_instance(Support, mend, **named)
         if self.contact is not None:
             mend = "give Contact(law, segments, cutoff), or None for no contact"
             check_instance(Contact, mend, contact=self.contact)
+
+    def _check_supports(self):
+        taken, last = {0: "first_end", self.rod.elements: "last_end"}, self.rod.elements
+        for i, support in enumerate(self.supports):
+            if not known(support.node):
+                continue
+            node, name = int(support.place(last)), f"supports[{i}]"
+            if not 0 <= node <= last:
+                raise ValueError(
+                    f"{name}: node: a rod of {last} elements has the nodes 0 to {last}, or"
+                    f" {-last - 1} to -1, got {int(support.node)}"
+                )
+            if node in taken:
+                raise ValueError(
+                    f"{name}: node {node} is held by {taken[node]} already; give one thing that"
+                    " takes away all directions of both"
+                )
+            taken[node] = name
 
     def _check_inertialess(self):
         found = [load.resistance for load in self.loads]
@@ -95,6 +123,19 @@ class Scene(eqx.Module):
     def ends(self) -> tuple[AbstractEnd, AbstractEnd]:
         """Both ends, that at s = 0 first."""
         return self.first_end, self.last_end
+
+    @property
+    def holds(self) -> tuple[Held, ...]:
+        """What holds the rod: both ends, then the supports."""
+        last = self.rod.elements
+        ends = Held("first_end", 0, self.first_end), Held("last_end", last, self.last_end)
+        supports = enumerate(self.supports)
+        return (*ends, *(Held(f"supports[{i}]", x.place(last), x.end) for i, x in supports))
+
+    @property
+    def held_nodes(self) -> tuple[Node, ...]:
+        """Their nodes."""
+        return tuple(held.node for held in self.holds)
 
     @property
     def closed(self) -> bool | Bool[Array, ""]:
@@ -120,13 +161,13 @@ class Scene(eqx.Module):
         """Times at which a constraint changes, as the rod's precision has them; steps end there."""
         dtype = self.rod.position.dtype
         own = lambda t: t if jnp.result_type(t) == dtype else jnp.asarray(t, dtype)
-        return tuple(own(t) for end in self.ends for t in end.switch_times)
+        return tuple(own(t) for held in self.holds for t in held.end.switch_times)
 
     @property
     def schedules(self) -> list:
         """Everything prescribed over time, with its name."""
         found = []
-        for name, end in zip(("first_end", "last_end"), self.ends, strict=True):
+        for name, _, end in self.holds:
             parts = {"displacement": end.displacement, "rotation": end.rotation}
             found += [(f"{name}.{part}", x) for part, x in parts.items() if x is not None]
         for i, load in enumerate(self.loads):
@@ -152,7 +193,15 @@ class Scene(eqx.Module):
                 )
 
 
-def projectors(scene: Scene, time: Float[Array, ""]) -> Float[Array, "2 6 6"]:
-    """Projectors of the two ends for a step that starts at `time`."""
-    dtype = scene.rod.position.dtype
-    return jnp.stack([end.projector(time).astype(dtype) for end in scene.ends])
+def projectors(scene: Scene, time: Float[Array, ""]) -> Float[Array, "h 6 6"]:
+    """Projectors of what holds the rod, for a step that starts at `time`."""
+    dtype, last = scene.rod.position.dtype, scene.rod.elements
+    found = jnp.stack([held.end.projector(time).astype(dtype) for held in scene.holds])
+    for i, support in enumerate(scene.supports):
+        if not known(support.node):  # a traced node that cannot be held makes no number
+            node = support.place(last)
+            others = [other for j, other in enumerate(scene.held_nodes) if j != i + 2]
+            taken = jnp.any(jnp.stack([node == other for other in others]))
+            wrong = taken | (node < 0) | (node > last)
+            found = found.at[i + 2].set(jnp.where(wrong, jnp.nan, found[i + 2]))
+    return found
