@@ -12,6 +12,7 @@ from constructor_oracles import (
     finite,
     flag,
     frames,
+    inner_node,
     instance,
     jumps,
     node,
@@ -158,6 +159,10 @@ CATALOGUE = {
             "displacement": (None, optional(schedule((3,)))),
             "rotation": (None, optional(instance(rx.Turn))),
         },
+    ),
+    "Support": (
+        lambda **k: rx.Scene(ROD, rx.Clamped(), supports=(rx.Support(**k),)),
+        {"node": (3, inner_node), "end": (rx.Pinned(), instance(rx.AbstractEnd))},
     ),
     "Constant": (
         rx.Constant,

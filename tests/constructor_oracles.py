@@ -79,6 +79,10 @@ def node(value):
     return integer and -N - 1 <= array <= N
 
 
+def inner_node(value):
+    return node(value) and int(value) % (N + 1) not in (0, N)
+
+
 def direction(value):
     array = real_array(value)
     good = array is not None and array.shape == (3,) and np.all(np.isfinite(array))

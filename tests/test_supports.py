@@ -176,8 +176,9 @@ def test_a_driven_support_moves_the_rod_and_its_work_is_booked():
     expected = scene.rod.position[8][None] + jax.vmap(shift)(run.times)
     np.testing.assert_allclose(run.states.position[:, 8], expected, atol=1e-10)
     book = energy.ledger(scene, run)
-    assert float(book.drive_work[-1]) > 1e-3
-    assert np.max(np.abs(book.residual)) < 0.03 * float(book.drive_work[-1])
+    work = abs(float(book.drive_work[-1]))
+    assert work > 0.1
+    assert np.max(np.abs(book.residual)) < 0.01 * work
 
 
 def test_derivatives_through_a_driven_support():
