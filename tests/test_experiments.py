@@ -199,7 +199,7 @@ def test_speed_report_in_short_mode(tmp_path):
         row = rows[name]["60"]
         assert row["solve_difference"] < 1e-6  # the block solve and SciPy's agree
         assert all(row[part] > 0 for part in ("residual", "jacobian", "newton", "banded_solve"))
-        # stress-free as it is wound, and without contact it stays so: the first increment is nothing
+        # wound without stress, and without contact it stays so: one increment, of nothing
         assert (1 if name == "without_contact" else 2) <= row["iterations"] <= 12
         # an iteration is a share of a step's whole solve, as steps take it
         assert row["iteration"] == pytest.approx(row["newton"] / row["iterations"], rel=1e-9)

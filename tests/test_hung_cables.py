@@ -68,6 +68,7 @@ def test_upside_down_it_is_unstable():
     np.testing.assert_allclose(state.position[-1], [0.0, 0.0, -1.0], atol=1e-8)
 
 
+@pytest.mark.slow
 def test_an_uneven_rod_turns_to_its_soft_side():
     """A spin that costs energy is not held: no torque is left at the pin."""
     scene = hung(stiffness=(0.05, 0.2, 0.1), pull=(1.0, 2.0, 0.0))

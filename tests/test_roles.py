@@ -93,8 +93,8 @@ def test_a_bed_that_stores_and_damps():
     "role, column, sign",
     [
         (rx.Role.DRAG, "drag_loss", 1),
-        (rx.Role.DAMPING, "damping_loss", 1),
-        (rx.Role.DRIVEN, "load_work", -1),
+        pytest.param(rx.Role.DAMPING, "damping_loss", 1, marks=pytest.mark.slow),
+        pytest.param(rx.Role.DRIVEN, "load_work", -1, marks=pytest.mark.slow),
     ],
 )
 def test_a_drag_is_lost_as_it_says(role, column, sign):

@@ -31,7 +31,7 @@ def check_held(
 ) -> Hold:
     """Raise ValueError if ends and loads (those at `time`) leave the rod free as a rigid body.
 
-    A rod held in part passes if a user's load might hold the rest. Skipped for traced values.
+    A rod held in part passes if a load says that it might hold the rest. Skipped for traced values.
 
     Args:
         spin_free: whether the spin of the rod about itself may stay free.

@@ -74,8 +74,8 @@ class AbstractLoad(eqx.Module):
 
     @property
     def may_hold(self) -> bool:
-        """Whether it might hold a rod that ends leave free where a look at some places is blind."""
-        return True
+        """Whether it might hold a rod that ends leave free, for all that a look at it tells."""
+        return False
 
     @property
     def resistance(self) -> tuple[Array, Array, Array] | None:
@@ -142,10 +142,6 @@ class Gravity(AbstractLoad):
     def role(self):
         return Role.STORED
 
-    @property
-    def may_hold(self):
-        return False
-
     def energy(self, rod, motion):
         return -jnp.sum(self.weight(rod) * motion.position)
 
@@ -204,10 +200,6 @@ class MorisonDrag(AbstractLoad):
     def role(self):
         return Role.DRAG
 
-    @property
-    def may_hold(self):
-        return False
-
     def wrench(self, rod, motion):
         diameter = _need(rod, "diameter", "MorisonDrag")
         velocity = motion.velocity
@@ -265,10 +257,6 @@ class LinearDrag(AbstractLoad):
         return Role.DAMPING
 
     @property
-    def may_hold(self):
-        return False
-
-    @property
     def resistance(self):
         return self.normal, self.tangential, self.rotational
 
@@ -303,6 +291,10 @@ class DistributedLoad(AbstractLoad):
         check_function(function=self.function)
         check_arrays_of_numbers(parameters=self.parameters)
 
+    @property
+    def may_hold(self):
+        return True
+
     def wrench(self, rod, motion):
         per_length = self.function(self.parameters, rod.arc_length, motion)
         return rod.node_length[:, None] * per_length
@@ -329,10 +321,6 @@ class PointLoad(AbstractLoad):
         check_flag(follower=self.follower)
         mend = "give a schedule of three components, for one that stays Constant((0, 0, 1))"
         check_schedule((3,), mend, **given(force=self.force, moment=self.moment))
-
-    @property
-    def may_hold(self):
-        return False
 
     @property
     def schedules(self):

@@ -89,7 +89,8 @@ class Scene(eqx.Module):
         for i, support in enumerate(self.supports):
             if not known(support.node):
                 continue
-            node, name = int(support.place(last)), f"supports[{i}]"
+            node, name = int(support.node), f"supports[{i}]"
+            node = node + last + 1 if node < 0 else node
             if not 0 <= node <= last:
                 raise ValueError(
                     f"{name}: node: a rod of {last} elements has the nodes 0 to {last}, or"
@@ -115,7 +116,8 @@ class Scene(eqx.Module):
                 raise ValueError(f"{name}: a rod with mass=None needs a positive {name} LinearDrag")
 
     def __repr__(self) -> str:
-        parts = [f"    {f.name}={brief(getattr(self, f.name))}," for f in dataclasses.fields(self)]
+        fields = [f.name for f in dataclasses.fields(self) if f.name != "supports" or self.supports]
+        parts = [f"    {name}={brief(getattr(self, name))}," for name in fields]
         rod = f"    rod={self.rod!r},"
         return "\n".join(["Scene(", rod, *parts[1:], ")"])
 

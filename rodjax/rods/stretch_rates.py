@@ -1,0 +1,54 @@
+"""Derivatives in time of the stretch of the elements, which constraints prescribe."""
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from rodjax.numerics import rotations
+from rodjax.rods.strains import relative_rotation
+
+
+def derivatives(
+    rod, quaternion, kinematics, rate, acceleration, order
+) -> list[Float[Array, "n 3"]]:
+    """First derivatives in time, up to `order` <= 3, of gamma in a motion of these accelerations.
+
+    By the product rule from gamma' = E^T dv/ds - omega_e x gamma and E' = E [omega_e x], with
+    omega_e = (omega_i + omega_{i+1})/2 + u x (omega_{i+1} - omega_i), u = p/(2 (1 + w)),
+    (w, p) = r = q_i^-1 q_{i+1} and r' = (r omega_{i+1} - omega_i r)/2.
+    """
+    cross = rotations.cross
+    across = lambda v: jnp.einsum(
+        "nji,nj->ni", kinematics.frame, (v[1:, :3] - v[:-1, :3]) / rod.length[:, None]
+    )
+    pure = lambda v: jnp.concatenate([jnp.zeros_like(v[:, :1]), v], 1)
+    mean = lambda v: 0.5 * (v[:-1, 3:] + v[1:, 3:])
+    jump = lambda v: v[1:, 3:] - v[:-1, 3:]
+    before = lambda v, r: rotations.multiply(pure(v[:-1, 3:]), r)
+    after = lambda r, v: rotations.multiply(r, pure(v[1:, 3:]))
+
+    relative = relative_rotation(quaternion)
+    over = 2 * (1 + relative[:, :1])
+    u = relative[:, 1:] / over
+    spin = mean(rate) + cross(u, jump(rate))
+    stretch, edge = kinematics.stretch, across(rate)
+    stretch1 = edge - cross(spin, stretch)
+    if order == 1:
+        return [stretch1]
+
+    relative1 = 0.5 * (after(relative, rate) - before(rate, relative))
+    over1 = 2 * relative1[:, :1]
+    u1 = (relative1[:, 1:] - u * over1) / over
+    spin1 = mean(acceleration) + cross(u1, jump(rate)) + cross(u, jump(acceleration))
+    pull = across(acceleration)
+    edge1 = pull - cross(spin, edge)
+    stretch2 = edge1 - cross(spin1, stretch) - cross(spin, stretch1)
+    if order == 2:
+        return [stretch1, stretch2]
+
+    relative2 = after(relative1, rate) + after(relative, acceleration)
+    relative2 = 0.5 * (relative2 - before(acceleration, relative) - before(rate, relative1))
+    u2 = (relative2[:, 1:] - 2 * u1 * over1 - 2 * u * relative2[:, :1]) / over
+    spin2 = cross(u2, jump(rate)) + 2 * cross(u1, jump(acceleration))
+    edge2 = -cross(spin, pull) - cross(spin1, edge) - cross(spin, edge1)
+    stretch3 = edge2 - cross(spin2, stretch) - 2 * cross(spin1, stretch1) - cross(spin, stretch2)
+    return [stretch1, stretch2, stretch3]
