@@ -16,7 +16,7 @@ from rodjax.equations.equations import step_equations
 from rodjax.interactions import contact_levels, screening
 from rodjax.interactions.contact import Contact
 from rodjax.numerics import newton
-from rodjax.numerics.frontal import FrontSize
+from rodjax.numerics.front_order import FrontSize
 from rodjax.numerics.results import Result
 
 # grids finer and coarser than the contact's 20 segments

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from rodjax.numerics.block_tridiagonal import BlockTridiagonal
-from rodjax.numerics.frontal import Distant, FrontSize, Stencils, arrange, factorize
+from rodjax.numerics.front_order import FrontSize, arrange
+from rodjax.numerics.frontal import Distant, Stencils, factorize
 
 NODES = 30
 SIZE = FrontSize(16, 6)

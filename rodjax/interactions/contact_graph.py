@@ -7,17 +7,9 @@ from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
 from rodjax.interactions.contact import Sites
-from rodjax.numerics.frontal import (
-    CHUNK,
-    Distant,
-    FrontSize,
-    Order,
-    Stencils,
-    arrange,
-    chunks,
-    part,
-    whole_chunks,
-)
+from rodjax.numerics.chunks import CHUNK, chunks, part, whole_chunks
+from rodjax.numerics.front_order import FrontSize, Order, arrange
+from rodjax.numerics.frontal import Distant, Stencils
 
 # two joints that are coupled by strands side by side, per near pair of their segments, and to spare
 _COUPLED = 6

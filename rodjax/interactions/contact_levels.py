@@ -5,7 +5,7 @@ from typing import NamedTuple
 import jax
 
 from rodjax.interactions.contact import Contact
-from rodjax.numerics.frontal import FrontSize
+from rodjax.numerics.front_order import FrontSize
 
 
 class Level(NamedTuple):

@@ -17,149 +17,44 @@ from jaxtyping import Array, Float
 
 from rodjax.dynamics.run import Run
 from rodjax.equations.coupling import Nearby, find_nearby
-from rodjax.equations.imbalance import imbalance
 from rodjax.interactions import contact_forces
-from rodjax.interactions.contact_energy import contact_energy as energy_of_contact
 from rodjax.interactions.contact_energy import has_potential, stored
 from rodjax.interactions.contact_laws import PairProperties, ignores_approach
 from rodjax.interactions.loads import total_wrench
 from rodjax.interactions.roles import Role
+from rodjax.measuring.energies import (
+    axial_energy,
+    bending_energy,
+    contact_energy,
+    contact_wrench,
+    gravity_energy,
+    kinetic_energy,
+    node_motion,
+    strain_energy_density,
+    torsion_energy,
+)
+from rodjax.measuring.reactions import Reactions, reactions, unbalanced
 from rodjax.numerics import rotations
 from rodjax.numerics.compilation import compiled
-from rodjax.rods import inertia
-from rodjax.rods.rod import Rod
-from rodjax.rods.state import NodeMotion, State, at_rest
-from rodjax.rods.strains import curvature, strains
+from rodjax.rods.state import State, at_rest
 from rodjax.scenes.holds import rows_at
 from rodjax.scenes.scene import Scene, projectors
 
-
-def node_motion(state: State) -> NodeMotion:
-    """What loads see of a state."""
-    return NodeMotion(
-        state.time, state.position, state.quaternion, state.velocity, state.angular_velocity
-    )
-
-
-def _moment_energy_density(rod: Rod, state: State) -> Float[Array, "n 3"]:
-    """The three terms of Eq. (4), B diagonal."""
-    return 0.5 * rod.stiffness * (curvature(rod, state.quaternion) - rod.natural_curvature) ** 2
-
-
-def _force_energy_density(rod: Rod, state: State) -> Float[Array, "n 3"]:
-    """f . compliance f / 2 with f = (gamma - e3) / compliance; zero where nothing gives."""
-    if rod.compliance is None:
-        return jnp.zeros_like(rod.stiffness)
-    stretch = strains(rod, state.position, state.quaternion).stretch
-    gap = stretch - jnp.asarray([[0.0, 0.0, 1.0]], stretch.dtype)
-    gives = rod.compliance > 0
-    return jnp.where(gives, 0.5 * gap**2 / jnp.where(gives, rod.compliance, 1.0), 0.0)
-
-
-def strain_energy_density(rod: Rod, state: State) -> Float[Array, " n"]:
-    """Strain energy per length of the elements of a rod in this state [J/m].
-
-    Eq. (4), (kappa - kappa0)^T B (kappa - kappa0) / 2, plus that of f.
-    """
-    density = jnp.sum(_moment_energy_density(rod, state), 1)
-    return density + jnp.sum(_force_energy_density(rod, state), 1)
-
-
-def bending_energy(scene: Scene, state: State) -> Float[Array, ""]:
-    """The part of Eq. (4) in A1 and A2, over the rod of the scene in this state [J]."""
-    rod = scene.rod
-    return jnp.sum(rod.length[:, None] * _moment_energy_density(rod, state)[:, :2])
-
-
-def torsion_energy(scene: Scene, state: State) -> Float[Array, ""]:
-    """The part of Eq. (4) in C, over the rod of the scene in this state [J]."""
-    return jnp.sum(scene.rod.length * _moment_energy_density(scene.rod, state)[:, 2])
-
-
-def axial_energy(scene: Scene, state: State) -> Float[Array, ""]:
-    """Energy of stretch and shear of the scene's rod in this state [J]; zero if inextensible."""
-    return jnp.sum(scene.rod.length[:, None] * _force_energy_density(scene.rod, state))
-
-
-def kinetic_energy(scene: Scene, state: State) -> Float[Array, ""]:
-    """Eq. (6) over the scene's rod in this state, with the added mass of the loads [J]."""
-    return inertia.kinetic_energy(scene, node_motion(state))
-
-
-def gravity_energy(scene: Scene, state: State) -> Float[Array, ""]:
-    """Potential of the scene's weight less buoyancy in this state, zero at the origin [J].
-
-    And of your own loads that store energy.
-    """
-    energy = jnp.zeros((), state.position.dtype)
-    for load in scene.loads:
-        if load.role is Role.STORED:
-            energy = energy + load.energy(scene.rod, node_motion(state))
-    return energy
-
-
-def contact_energy(scene: Scene, state: State) -> Float[Array, ""]:
-    """What strands at rest have stored in the law between them [J], zero without contact.
-
-    Not a number where an aperture leaves the contact force without potential.
-    """
-    if scene.contact is None:
-        return jnp.zeros((), state.position.dtype)
-    return energy_of_contact(scene.contact, scene.rod, state.position, scene.closed)
-
-
-def contact_wrench(scene: Scene, state: State) -> Float[Array, "nodes 6"]:
-    """What the scene's contact exerts on the nodes of this state.
-
-    Columns: force, inertial (3) [N], and moment in the body frame (3) [N m].
-
-    The one place where energies and reactions meet contact.
-    """
-    if scene.contact is None:
-        return jnp.zeros_like(state.rate)
-    at = state.position, state.velocity
-    forces = contact_forces.report(scene.contact, scene.rod, *at, scene.closed).force
-    return jnp.concatenate([forces, jnp.zeros_like(forces)], 1)
-
-
-def _unbalanced(
-    scene: Scene, state: State, from_contact: Float[Array, "nodes 6"] | None
-) -> Float[Array, "h 6"]:
-    """Inertia + internal - external wrench of the nodes that are held: what must be supplied."""
-    motion, acceleration = node_motion(state), state.acceleration
-    wrench, _ = imbalance(scene, motion, state.force, acceleration=acceleration)
-    if from_contact is not None:
-        wrench = wrench - from_contact
-    return rows_at(wrench, scene.held_nodes)
-
-
-class Reactions(NamedTuple):
-    """What the ends exert on the rod, that at s = 0 first, then the supports in their order.
-
-    Attributes:
-        force: inertial components [N].
-        torque: about the held node, inertial components [N m].
-        body_torque: the same in the node's cross-section frame (a_1, a_2, tangent).
-    """
-
-    force: Float[Array, "h 3"]  # inertial components [N]
-    torque: Float[Array, "h 3"]  # about the held node, inertial components [N m]
-    body_torque: Float[Array, "h 3"]  # the same in the node's cross-section frame
-
-
-def reactions(scene: Scene, state: State) -> Reactions:
-    """Force and torque by which the constraints of ends and supports act on the rod at a state.
-
-    The imbalance of the held nodes in the directions that are constrained from `state.time` on;
-    zero in the free ones. Curves over a run are one line each:
-        torque about an axis:    jax.lax.map(lambda s: reactions(scene, s).torque[0] @ axis, states)
-        force along the axis:    jax.lax.map(lambda s: reactions(scene, s).force[1] @ axis, states)
-    """
-    touching = None if scene.contact is None else contact_wrench(scene, state)
-    unbalanced = _unbalanced(scene, state, touching)
-    supplied = jnp.einsum("eij,ej->ei", projectors(scene, state.time), unbalanced)
-    frames = rows_at(state.quaternion, scene.held_nodes)
-    return Reactions(supplied[:, :3], rotations.rotate(frames, supplied[:, 3:]), supplied[:, 3:])
+__all__ = [
+    "Ledger",
+    "Reactions",
+    "axial_energy",
+    "bending_energy",
+    "contact_energy",
+    "contact_wrench",
+    "gravity_energy",
+    "kinetic_energy",
+    "ledger",
+    "node_motion",
+    "reactions",
+    "strain_energy_density",
+    "torsion_energy",
+]
 
 
 class Ledger(NamedTuple):
@@ -261,7 +156,7 @@ def _acting(scene: Scene, state: State, nearby: Nearby | None) -> _Acting:
         damping = damping - resting
 
     return _Acting(
-        _unbalanced(scene, state, touching),
+        unbalanced(scene, state, touching),
         total(Role.DRIVEN),
         total(Role.DRAG),
         damping,

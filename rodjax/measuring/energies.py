@@ -1,0 +1,101 @@
+"""Energies of a state."""
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from rodjax.interactions import contact_forces
+from rodjax.interactions.contact_energy import contact_energy as energy_of_contact
+from rodjax.interactions.roles import Role
+from rodjax.rods import inertia
+from rodjax.rods.rod import Rod
+from rodjax.rods.state import NodeMotion, State
+from rodjax.rods.strains import curvature, strains
+from rodjax.scenes.scene import Scene
+
+
+def node_motion(state: State) -> NodeMotion:
+    """What loads see of a state."""
+    return NodeMotion(
+        state.time, state.position, state.quaternion, state.velocity, state.angular_velocity
+    )
+
+
+def _moment_energy_density(rod: Rod, state: State) -> Float[Array, "n 3"]:
+    """The three terms of Eq. (4), B diagonal."""
+    return 0.5 * rod.stiffness * (curvature(rod, state.quaternion) - rod.natural_curvature) ** 2
+
+
+def _force_energy_density(rod: Rod, state: State) -> Float[Array, "n 3"]:
+    """f . compliance f / 2 with f = (gamma - e3) / compliance; zero where nothing gives."""
+    if rod.compliance is None:
+        return jnp.zeros_like(rod.stiffness)
+    stretch = strains(rod, state.position, state.quaternion).stretch
+    gap = stretch - jnp.asarray([[0.0, 0.0, 1.0]], stretch.dtype)
+    gives = rod.compliance > 0
+    return jnp.where(gives, 0.5 * gap**2 / jnp.where(gives, rod.compliance, 1.0), 0.0)
+
+
+def strain_energy_density(rod: Rod, state: State) -> Float[Array, " n"]:
+    """Strain energy per length of the elements of a rod in this state [J/m].
+
+    Eq. (4), (kappa - kappa0)^T B (kappa - kappa0) / 2, plus that of f.
+    """
+    density = jnp.sum(_moment_energy_density(rod, state), 1)
+    return density + jnp.sum(_force_energy_density(rod, state), 1)
+
+
+def bending_energy(scene: Scene, state: State) -> Float[Array, ""]:
+    """The part of Eq. (4) in A1 and A2, over the rod of the scene in this state [J]."""
+    rod = scene.rod
+    return jnp.sum(rod.length[:, None] * _moment_energy_density(rod, state)[:, :2])
+
+
+def torsion_energy(scene: Scene, state: State) -> Float[Array, ""]:
+    """The part of Eq. (4) in C, over the rod of the scene in this state [J]."""
+    return jnp.sum(scene.rod.length * _moment_energy_density(scene.rod, state)[:, 2])
+
+
+def axial_energy(scene: Scene, state: State) -> Float[Array, ""]:
+    """Energy of stretch and shear of the scene's rod in this state [J]; zero if inextensible."""
+    return jnp.sum(scene.rod.length[:, None] * _force_energy_density(scene.rod, state))
+
+
+def kinetic_energy(scene: Scene, state: State) -> Float[Array, ""]:
+    """Eq. (6) over the scene's rod in this state, with the added mass of the loads [J]."""
+    return inertia.kinetic_energy(scene, node_motion(state))
+
+
+def gravity_energy(scene: Scene, state: State) -> Float[Array, ""]:
+    """Potential of the scene's weight less buoyancy in this state, zero at the origin [J].
+
+    And of your own loads that store energy.
+    """
+    energy = jnp.zeros((), state.position.dtype)
+    for load in scene.loads:
+        if load.role is Role.STORED:
+            energy = energy + load.energy(scene.rod, node_motion(state))
+    return energy
+
+
+def contact_energy(scene: Scene, state: State) -> Float[Array, ""]:
+    """What strands at rest have stored in the law between them [J], zero without contact.
+
+    Not a number where an aperture leaves the contact force without potential.
+    """
+    if scene.contact is None:
+        return jnp.zeros((), state.position.dtype)
+    return energy_of_contact(scene.contact, scene.rod, state.position, scene.closed)
+
+
+def contact_wrench(scene: Scene, state: State) -> Float[Array, "nodes 6"]:
+    """What the scene's contact exerts on the nodes of this state.
+
+    Columns: force, inertial (3) [N], and moment in the body frame (3) [N m].
+
+    The one place where energies and reactions meet contact.
+    """
+    if scene.contact is None:
+        return jnp.zeros_like(state.rate)
+    at = state.position, state.velocity
+    forces = contact_forces.report(scene.contact, scene.rod, *at, scene.closed).force
+    return jnp.concatenate([forces, jnp.zeros_like(forces)], 1)

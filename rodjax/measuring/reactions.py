@@ -1,0 +1,53 @@
+"""What ends and supports exert on the rod."""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from rodjax.equations.imbalance import imbalance
+from rodjax.measuring.energies import contact_wrench, node_motion
+from rodjax.numerics import rotations
+from rodjax.rods.state import State
+from rodjax.scenes.holds import rows_at
+from rodjax.scenes.scene import Scene, projectors
+
+
+def unbalanced(
+    scene: Scene, state: State, from_contact: Float[Array, "nodes 6"] | None
+) -> Float[Array, "h 6"]:
+    """Inertia + internal - external wrench of the nodes that are held: what must be supplied."""
+    motion, acceleration = node_motion(state), state.acceleration
+    wrench, _ = imbalance(scene, motion, state.force, acceleration=acceleration)
+    if from_contact is not None:
+        wrench = wrench - from_contact
+    return rows_at(wrench, scene.held_nodes)
+
+
+class Reactions(NamedTuple):
+    """What the ends exert on the rod, that at s = 0 first, then the supports in their order.
+
+    Attributes:
+        force: inertial components [N].
+        torque: about the held node, inertial components [N m].
+        body_torque: the same in the node's cross-section frame (a_1, a_2, tangent).
+    """
+
+    force: Float[Array, "h 3"]  # inertial components [N]
+    torque: Float[Array, "h 3"]  # about the held node, inertial components [N m]
+    body_torque: Float[Array, "h 3"]  # the same in the node's cross-section frame
+
+
+def reactions(scene: Scene, state: State) -> Reactions:
+    """Force and torque by which the constraints of ends and supports act on the rod at a state.
+
+    The imbalance of the held nodes in the directions that are constrained from `state.time` on;
+    zero in the free ones. Curves over a run are one line each:
+        torque about an axis:    jax.lax.map(lambda s: reactions(scene, s).torque[0] @ axis, states)
+        force along the axis:    jax.lax.map(lambda s: reactions(scene, s).force[1] @ axis, states)
+    """
+    touching = None if scene.contact is None else contact_wrench(scene, state)
+    lacking = unbalanced(scene, state, touching)
+    supplied = jnp.einsum("eij,ej->ei", projectors(scene, state.time), lacking)
+    frames = rows_at(state.quaternion, scene.held_nodes)
+    return Reactions(supplied[:, :3], rotations.rotate(frames, supplied[:, 3:]), supplied[:, 3:])
