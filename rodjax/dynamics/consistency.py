@@ -108,17 +108,17 @@ def start(
         )
     if any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(new)):
         return not_a_number(new, stretched | start_checks.held_twice(scene, new))
-    _check_start(new)
+    _check_start(new, scene.holding)
     return new
 
 
-def _check_start(state: State) -> None:
+def _check_start(state: State, holding: str) -> None:
     """Raise ValueError where no consistent start was found (outside traced code only)."""
     for name in ("rate", "acceleration", "force"):
         value = getattr(state, name)
         if not isinstance(value, jax.core.Tracer) and not np.all(np.isfinite(value)):
             raise ValueError(
-                f"first_end, last_end: no unique {name} of the start; ends, mass and loads leave"
+                f"{holding}: no unique {name} of the start; ends, mass and loads leave"
                 " some motion or force of the rod undetermined"
             )
 

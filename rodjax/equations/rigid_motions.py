@@ -44,7 +44,7 @@ def check_held(
         both = np.asarray(both)
         if not np.any(both):
             raise ValueError(
-                "first_end, last_end: a rod held at neither end has no unique equilibrium; hold one"
+                f"{scene.holding}: a rod held at neither end has no unique equilibrium; hold one"
                 " (ends.Clamped, or ends.Pinned and ends.Slider together)"
             )
         spin = spin_free and not np.any(both[:, 5, 5] > 0)
@@ -64,7 +64,7 @@ def check_held(
         unheld = len(free) - _held_by_loads(scene, state, free, time)
     if unheld > 0:
         raise ValueError(
-            f"first_end, last_end: they leave {unheld} rigid motion(s) of the rod free (a swing"
+            f"{scene.holding}: they leave {unheld} rigid motion(s) of the rod free (a swing"
             " about a pin, a spin about two, a slide along two sliders), and the loads do not hold"
             " them, so the equilibrium is not unique; hold the rod more"
         )

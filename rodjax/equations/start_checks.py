@@ -90,7 +90,7 @@ def check_held_once(scene: Scene, state: State) -> None:
     chord = np.asarray(state.position[-1] - state.position[0], float)
     along = ", ".join(f"{x:.3g}" for x in chord / np.linalg.norm(chord))
     raise ValueError(
-        "first_end, last_end: they hold the rod twice in some direction, so its force there is not"
+        f"{scene.holding}: they hold the rod twice in some direction, so its force there is not"
         f" determined: inextensible and straight along ({along}), it cannot let its ends come"
         " nearer or part. Let one end slide along the rod (Slider), give the rod axial compliance"
         " (Section(compliance=(0, 0, 1 / EA)) or circular_section(extensible=True)), or place it"

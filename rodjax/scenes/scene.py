@@ -135,6 +135,11 @@ class Scene(eqx.Module):
         return (*ends, *(Held(f"supports[{i}]", x.place(last), x.end) for i, x in supports))
 
     @property
+    def holding(self) -> str:
+        """Their names, for messages."""
+        return ", ".join(held.name for held in self.holds)
+
+    @property
     def held_nodes(self) -> tuple[Node, ...]:
         """Their nodes."""
         return tuple(held.node for held in self.holds)
