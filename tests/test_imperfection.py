@@ -114,6 +114,7 @@ def test_a_cantilever_under_a_dead_thrust_bends_as_the_elastica():
     np.testing.assert_allclose(sideways(state), 2 * np.sqrt(m / thrust), rtol=5e-2)
 
 
+@pytest.mark.slow
 def test_a_twisted_shaft_leaves_its_axis():
     # clamped ends, free to slide: critical at 1.7879 turns (M L / A = 8.986819)
     bent = [

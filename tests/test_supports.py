@@ -194,6 +194,7 @@ def test_a_driven_support_moves_the_rod_and_its_work_is_booked():
     assert np.max(np.abs(book.residual)) < 0.01 * work
 
 
+@pytest.mark.slow
 def test_derivatives_through_a_driven_support():
     def moved(amount):
         return driven(amount)[1].states.position[-1, -1, 2]
