@@ -130,6 +130,19 @@ class InTime(Bed):
         return super().energy(rod, motion) + jnp.sin(motion.time)
 
 
+class Periodic(Bed):
+    """Of period one second, at which the energy is the same again."""
+
+    def energy(self, rod, motion):
+        return super().energy(rod, motion) + jnp.sin(2 * jnp.pi * motion.time)
+
+
+class Begins(Bed):
+    def energy(self, rod, motion):
+        begun = jnp.clip(motion.time - 50.0, 0.0, 100.0)
+        return super().energy(rod, motion) + begun
+
+
 class Rows(Bed):
     def energy(self, rod, motion):
         return jnp.sum(self._moved(rod, motion) ** 2, 1)
@@ -151,6 +164,8 @@ BED = jnp.asarray(STIFFNESS), jnp.asarray(0.0)
 REFUSED = {
     "twice": (Wrong(*BED), "its energy grows by"),
     "in time": (InTime(*BED), "changes in time"),
+    "periodic": (Periodic(*BED), "changes in time"),
+    "begins": (Begins(*BED), "changes in time"),
     "rows": (Rows(*BED), "must be one number"),
     "none": (NoEnergy(jnp.asarray(1.0)), r"needs energy\(rod, motion\)"),
     "no role": (NoRole(jnp.asarray(1.0)), "must be a rodjax.Role, got 'lost'"),

@@ -269,3 +269,37 @@ def test_supports_are_refused(case):
 def test_wrong_parts_are_refused():
     with pytest.raises(ValueError, match="node"):
         Support(2.5, rx.Pinned())
+
+
+def hung(middle):
+    """Pins in a row, none of which holds the spin of a rod with two equal stiffnesses."""
+    pins = rx.Pinned(), rx.Pinned()
+    return beam(*pins, Support(middle, rx.Pinned()), loads=(rx.Gravity(LIGHT),), elements=16)
+
+
+@pytest.mark.slow
+def test_a_free_spin_stays_in_traced_code_too():
+    """Of a traced scene the kinds of what holds it are known, though the node is not."""
+    place = rx.jit(lambda scene: rx.equilibrium(scene, rx.placing(scene), throw=False))
+    alone, info = rx.equilibrium(hung(8), rx.placing(hung(8)))
+    traced, traced_info = place(hung(8))
+    assert int(info.result) == int(traced_info.result) == 0
+    np.testing.assert_allclose(traced.quaternion, alone.quaternion, atol=1e-9)
+    moved = rx.jit(jax.vmap(lambda node: place(hung(node))[0].position[-3, 2]))
+    found = moved(jnp.asarray([8, 5]))
+    np.testing.assert_allclose(found[0], alone.position[-3, 2], atol=1e-12)
+    assert abs(float(found[1] - found[0])) > 1e-6
+
+
+@pytest.mark.slow
+def test_equilibrium_in_single_precision():
+    """Of 200 elements on five supports the reactions are those in double precision."""
+    supports = [Support(node, rx.Pinned()) for node in (50, 100, 150)]
+    gravity = rx.Gravity(jnp.asarray([0.0, 0.0, -1.0]))
+    scene = beam(Torsionless(), rx.Pinned(), *supports, loads=(gravity,), elements=200, axial=1e-4)
+    cast = lambda leaf: leaf.astype(jnp.float32) if eqx.is_inexact_array(leaf) else leaf
+    carried = []
+    for one in (scene, jax.tree.map(cast, scene)):
+        state, _ = rx.equilibrium(one, rx.placing(one), relax=False)
+        carried.append(np.asarray(energy.reactions(one, state).force[:, 2], float))
+    np.testing.assert_allclose(carried[1], carried[0], atol=0.02 * carried[0].max())

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Int
 
 from rodjax.constraints.ends import AbstractEnd, check_end
-from rodjax.inputs.validation import as_node, check_node
+from rodjax.inputs.validation import as_node, check_node, known
 
 
 class Support(eqx.Module):
@@ -14,7 +14,9 @@ class Support(eqx.Module):
     `end` says which, as it does at the ends of a rod: `Pinned()` a ball joint with what is around,
     `Clamped()` a weld, `Slider(axis)` a block that slides along the axis, `Free()` nothing;
     `Switched` lets it begin or end at a time, its `displacement` and `rotation` drive it. What it
-    exerts on the rod is in `energy.reactions`, after the ends.
+    exerts on the rod is in `energy.reactions`, after the ends. Equilibria of a rod with supports
+    count its modes by dense eigenvalues, at a cost that grows with the cube of the elements
+    (`relax=False` counts them at the end alone).
 
     Attributes:
         node: its number, from 1 to the last but one; negative from the end s = L (-1 is the last
@@ -30,6 +32,9 @@ class Support(eqx.Module):
         check_node(self.node)
         check_end(end=self.end)
 
-    def place(self, elements: int) -> Int[Array, ""]:
-        """The node counted from s = 0, of a rod with so many elements."""
+    def place(self, elements: int) -> int | Int[Array, ""]:
+        """The node counted from s = 0, of a rod with so many elements; a number where known."""
+        if known(self.node):
+            node = int(self.node)
+            return node + elements + 1 if node < 0 else node
         return jnp.where(self.node < 0, self.node + elements + 1, self.node)

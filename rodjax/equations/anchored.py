@@ -20,8 +20,8 @@ from rodjax.scenes.holds import Node, with_part
 class AnchoredSystem(eqx.Module):
     """A system solved through the one that differs from it by what is held.
 
-    With E^T picking the last six rows of the blocks of the `nodes` that are held, node 0 among
-    them, and R = E^T system, H = E^T cantilever: system = cantilever + E (R - H).
+    With E^T picking the last six rows of the blocks of the `nodes` that are held otherwise,
+    and R = E^T system, H = E^T cantilever: system = cantilever + E (R - H).
     """
 
     system: CoupledSystem

@@ -184,14 +184,16 @@ class Equations(eqx.Module, Generic[Scheme]):
         # what lies before a node is not held without inertia, or held twice: see `anchored`
         cantilever = jnp.eye(6, dtype=x.dtype)[None], (0,)
         held = None if coupling is None else coupling.held(*cantilever)
-        return AnchoredSystem(system, CoupledSystem(blocks(*cantilever), held), nodes)
+        # node 0 is held by both alike where it is clamped
+        differing = nodes[1:] if scene.first_end.clamped else nodes
+        return AnchoredSystem(system, CoupledSystem(blocks(*cantilever), held), differing)
 
     def iterate(self, x, tolerance, max_iterations):
         """Newton's iteration, with a held derivative where pairs are near.
 
         The lanes of a batch go together while nothing is near in any of them, else one by one.
         """
-        if self.scene.contact is None:
+        if self.nearby is None:
             return newton.iterate(self, x, tolerance, max_iterations)
         arrays, rest = eqx.partition(self, eqx.is_array)
         given = (x, tolerance, max_iterations)

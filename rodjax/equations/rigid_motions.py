@@ -16,7 +16,7 @@ from jaxtyping import Array, Float
 from rodjax.interactions.loads import total_wrench
 from rodjax.numerics import rotations
 from rodjax.rods.state import State, at_rest
-from rodjax.scenes.scene import Scene, projectors
+from rodjax.scenes.scene import Scene, directions
 
 
 class Hold(NamedTuple):
@@ -38,7 +38,7 @@ def check_held(
     """
     # known values stay known also inside a transformation without jit
     with jax.ensure_compile_time_eval():
-        both = projectors(scene, state.time)
+        both = directions(scene, state.time)
         if isinstance(both, jax.core.Tracer):
             return Hold()
         both = np.asarray(both)
@@ -48,7 +48,7 @@ def check_held(
                 " (ends.Clamped, or ends.Pinned and ends.Slider together)"
             )
         spin = spin_free and not np.any(both[:, 5, 5] > 0)
-        needed = (state.position, state.quaternion, scene.rod.length)
+        needed = (state.position, state.quaternion, scene.rod.length, *scene.held_nodes)
         if any(isinstance(value, jax.core.Tracer) for value in needed):
             # where neither end holds the tangent, loads must
             return Hold(loads=not np.any(both[:, (3, 4), (3, 4)] > 0), spin=spin)

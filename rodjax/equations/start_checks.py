@@ -87,6 +87,14 @@ def check_held_once(scene: Scene, state: State) -> None:
     least = least_hold(scene, state)
     if not known(least) or not float(least) <= _enough_hold(least.dtype):
         return
+    if scene.supports:
+        raise ValueError(
+            f"{scene.holding}: they hold the rod twice in some direction, so its force there is not"
+            " determined: between two of them it cannot give way as far as both hold it (an"
+            " inextensible stretch that is straight, or nodes side by side). Let one slide along"
+            " the rod (Slider), leave more nodes between them, or give the rod axial compliance"
+            " (Section(compliance=(0, 0, 1 / EA)) or circular_section(extensible=True))"
+        )
     chord = np.asarray(state.position[-1] - state.position[0], float)
     along = ", ".join(f"{x:.3g}" for x in chord / np.linalg.norm(chord))
     raise ValueError(

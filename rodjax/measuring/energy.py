@@ -146,14 +146,15 @@ def _acting(scene: Scene, state: State, nearby: Nearby | None) -> _Acting:
     motion = node_motion(state)
     touching = None if nearby is None else _pushed(scene, state.position, state.velocity, nearby)
 
-    def total(*roles, motion=motion):
-        loads = tuple(load for load in scene.loads if load.role in roles)
+    def total(role):
+        loads = tuple(load for load in scene.loads if load.role is role)
         return total_wrench(loads, scene.rod, motion) if loads else None
 
-    damping = total(Role.DAMPING, Role.STORED)
-    resting = total(Role.STORED, motion=at_rest(motion.time, motion.position, motion.quaternion))
-    if damping is not None and resting is not None:
-        damping = damping - resting
+    damping, resting = total(Role.DAMPING), at_rest(*motion[:3])
+    for load in scene.loads:
+        if load.role is Role.STORED:  # zero to the last digit where motion makes no difference
+            lost = load.wrench(scene.rod, motion) - load.wrench(scene.rod, resting)
+            damping = lost if damping is None else damping + lost
 
     return _Acting(
         unbalanced(scene, state, touching),

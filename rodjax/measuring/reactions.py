@@ -25,7 +25,9 @@ def unbalanced(
 
 
 class Reactions(NamedTuple):
-    """What the ends exert on the rod, that at s = 0 first, then the supports in their order.
+    """What holds the rod exerts on it: the end s = 0, the end s = L, then the supports in order.
+
+    So row 1 is that of the last end, with supports or without.
 
     Attributes:
         force: inertial components [N].

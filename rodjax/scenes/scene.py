@@ -89,8 +89,7 @@ class Scene(eqx.Module):
         for i, support in enumerate(self.supports):
             if not known(support.node):
                 continue
-            node, name = int(support.node), f"supports[{i}]"
-            node = node + last + 1 if node < 0 else node
+            node, name = int(support.place(last)), f"supports[{i}]"
             if not 0 <= node <= last:
                 raise ValueError(
                     f"{name}: node: a rod of {last} elements has the nodes 0 to {last}, or"
@@ -200,10 +199,16 @@ class Scene(eqx.Module):
                 )
 
 
+def directions(scene: Scene, time: Float[Array, ""]) -> Float[Array, "h 6 6"]:
+    """Projectors that the kinds of what holds the rod say, wherever that is."""
+    dtype = scene.rod.position.dtype
+    ends = (*scene.ends, *(support.end for support in scene.supports))
+    return jnp.stack([end.projector(time).astype(dtype) for end in ends])
+
+
 def projectors(scene: Scene, time: Float[Array, ""]) -> Float[Array, "h 6 6"]:
     """Projectors of what holds the rod, for a step that starts at `time`."""
-    dtype, last = scene.rod.position.dtype, scene.rod.elements
-    found = jnp.stack([held.end.projector(time).astype(dtype) for held in scene.holds])
+    found, last = directions(scene, time), scene.rod.elements
     for i, support in enumerate(scene.supports):
         if not known(support.node):  # a traced node that cannot be held makes no number
             node = support.place(last)
