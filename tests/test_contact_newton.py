@@ -44,7 +44,7 @@ def test_newton_system_is_the_exact_derivative(bent):
     )
 
 
-@pytest.mark.parametrize("bent", map(slow, (24, 14, 40)), indirect=True)
+@pytest.mark.parametrize("bent", [slow(24), slow(14), slow(40)], indirect=True)
 def test_a_strip_is_solved_as_a_dense_system(bent, monkeypatch):
     """Systems and transposed ones, held and not, on grids finer and coarser than the segments."""
     scene, state, _ = bent

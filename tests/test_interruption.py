@@ -144,7 +144,7 @@ def test_a_signal_stops_a_run(state, monkeypatch):
         # again where Python lost it, as in a destructor
         if not stopped.wait(0.1):
             os.kill(os.getpid(), signal.SIGINT)
-        while not stopped.wait(20.0):
+        while not stopped.wait(5.0):  # the whole run takes some half a minute
             os.kill(os.getpid(), signal.SIGINT)
 
     def counted(pace, loop):
