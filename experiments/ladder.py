@@ -26,7 +26,6 @@ import numpy as np
 from example import PRESETS, contact_law, drive, rod, scene
 
 import rodjax as rx
-from rodjax.equations.coupling import find_nearby
 from rodjax.equations.equations import Equations, step_equations
 from rodjax.numerics import newton
 from rodjax.numerics.compilation import compiled
@@ -171,7 +170,7 @@ def _equations(scene: rx.Scene, state: rx.State, stop, near: bool) -> Equations:
     if not near:
         return equations.without_contact()
     expected = equations.increment(equations.guess(state.force))[:, :3]
-    return dataclasses.replace(equations, nearby=find_nearby(scene, state.position, expected))
+    return dataclasses.replace(equations, found=scene.find(state.position, expected))
 
 
 def _iteration(by):

@@ -29,16 +29,16 @@ from rodjax.dynamics import consistency
 from rodjax.dynamics.adaptive import compile_adaptive_rollout
 from rodjax.dynamics.fixed_rollout import rollout
 from rodjax.dynamics.stepping import prepare, step
-from rodjax.equations.coupling import Nearby, find_nearby
 from rodjax.equations.equations import step_equations
 from rodjax.equations.generalized_alpha import GeneralizedAlpha
 from rodjax.interactions.contact import interpolate
 from rodjax.interactions.contact_forces import joints_of, pair_forces
+from rodjax.interactions.self_contact import Nearby
 from rodjax.numerics.block_tridiagonal import BlockTridiagonal
 from rodjax.numerics.compilation import compiled
 from rodjax.numerics.results import Result
 from rodjax.rods.state import State
-from rodjax.scenes.scene import Scene
+from rodjax.scenes.scene import Found, Scene
 
 jax.config.update("jax_enable_compilation_cache", False)
 
@@ -103,7 +103,7 @@ class _Solved(NamedTuple):
     right: jax.Array
 
 
-def step_solve(whole: Scene, state: State, nearby: Nearby | None) -> _Solved:
+def step_solve(whole: Scene, state: State, found: Found) -> _Solved:
     """What a step of STEP seconds does from this state, as `stepping.advance_to` does it.
 
     Without contact every iteration eliminates anew. Where pairs are near, the derivative is held
@@ -112,7 +112,7 @@ def step_solve(whole: Scene, state: State, nearby: Nearby | None) -> _Solved:
     """
     method = GeneralizedAlpha()
     tolerance = method.newton_tolerance(state.position.dtype)
-    equations = step_equations(whole, state, state.time + STEP, method.spectral_radius, nearby)
+    equations = step_equations(whole, state, state.time + STEP, method.spectral_radius, found)
     guess = equations.limited(equations.guess(state.force))
 
     @compiled
@@ -129,7 +129,7 @@ def step_solve(whole: Scene, state: State, nearby: Nearby | None) -> _Solved:
         "block_solve": (compiled(lambda a, b: a.solve(b)), blocks, b),
         "newton": (solved, equations, guess),
     }
-    if nearby is None:
+    if whole.contact is None:
         parts["increment"] = (compiled(lambda e, x: e.newton_increment(x)), equations, x)
     else:
         eliminate = compiled(lambda e, x: e.linearize(x).eliminate())
@@ -150,13 +150,13 @@ def iteration_costs(elements: int, contact: bool, repeats: int) -> dict[str, Any
     """
     whole = plectoneme(elements, contact)
     state = consistency.start(whole)
-    nearby, search = None, None
+    found_near, search = whole.find(state.position), None
     if contact:
         expected = STEP * state.velocity + 0.5 * STEP**2 * state.acceleration[:, :3]
-        find = compiled(lambda scene, s: find_nearby(scene, s.position, expected))
-        nearby = find(whole, state)
+        find = compiled(lambda scene, s: scene.find(s.position, expected))
+        found_near = find(whole, state)
         search = lambda: jax.block_until_ready(find(whole, state))
-    solve = step_solve(whole, state, nearby)
+    solve = step_solve(whole, state, found_near)
     bandwidth, band = banded(solve.blocks)
     right = np.asarray(solve.right).ravel()
     jobs = dict(solve.jobs)
@@ -173,8 +173,8 @@ def iteration_costs(elements: int, contact: bool, repeats: int) -> dict[str, Any
         found[f"{name}_over_banded"] = float(np.median(seconds[name] / yardstick))
     found |= {"bandwidth": bandwidth, "solve_difference": difference}
     found["iterations"] = solve.iterations
-    if nearby is not None:
-        found |= contact_counts(whole, state, nearby)
+    if contact:
+        found |= contact_counts(whole, state, found_near[-1])
     return found
 
 
@@ -199,10 +199,10 @@ def ply_costs(elements: int, repeats: int) -> dict[str, Any]:
     """Seconds of a Newton increment, evaluation and solve, of strands that touch all along."""
     whole = ply(elements)
     state = consistency.start(whole)
-    find = compiled(lambda scene, s: find_nearby(scene, s.position))
-    nearby = find(whole, state)
+    find = compiled(lambda scene, s: scene.find(s.position))
+    near_by = find(whole, state)
     equations = step_equations(
-        whole, state, state.time + STEP, GeneralizedAlpha().spectral_radius, nearby
+        whole, state, state.time + STEP, GeneralizedAlpha().spectral_radius, near_by
     )
     x = equations.guess(state.force)
     blocks = compiled(lambda e, x: e.linearize(x).blocks)(equations, x)
@@ -220,7 +220,7 @@ def ply_costs(elements: int, repeats: int) -> dict[str, Any]:
     found: dict[str, Any] = {name: float(np.median(s)) for name, s in seconds.items()}
     ratio = np.median(seconds["increment"] / seconds["block_solve"])
     found["increment_over_block_solve"] = float(ratio)
-    return found | contact_counts(whole, state, nearby)
+    return found | contact_counts(whole, state, near_by[-1])
 
 
 def compile_costs(rung: Rung, repeats: int) -> dict[str, Any]:

@@ -68,7 +68,7 @@ from rodjax.interactions.contact_laws import DebyeHueckel as DebyeHueckel
 from rodjax.interactions.contact_laws import InversePower as InversePower
 from rodjax.interactions.contact_laws import LennardJones as LennardJones
 from rodjax.interactions.contact_laws import Penalty as Penalty
-from rodjax.interactions.loads import AbstractLoad as AbstractLoad
+from rodjax.interactions.load import AbstractLoad as AbstractLoad
 from rodjax.interactions.loads import DistributedLoad as DistributedLoad
 from rodjax.interactions.loads import Gravity as Gravity
 from rodjax.interactions.loads import LinearDrag as LinearDrag

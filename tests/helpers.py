@@ -15,7 +15,6 @@ from rodjax.constraints.ends import Clamped, Slider, Turn
 from rodjax.dynamics.consistency import start
 from rodjax.dynamics.run import Run
 from rodjax.dynamics.stepping import no_info, prepare, step
-from rodjax.equations.coupling import find_nearby
 from rodjax.equations.generalized_alpha import GeneralizedAlpha
 from rodjax.inputs.schedules import Smooth
 from rodjax.interactions import contact_laws as laws
@@ -166,7 +165,7 @@ def moving_hairpin(elements: int):
     state = start(scene)
     velocity = 0.1 * np.random.default_rng(0).normal(size=state.position.shape)
     state = dataclasses.replace(state, rate=state.rate.at[:, :3].set(velocity))
-    return scene, state, find_nearby(scene, state.position, 1e-3 * state.velocity)
+    return scene, state, scene.find(state.position, 1e-3 * state.velocity)[-1]
 
 
 def standing_run(scene: Scene, steps: int, first: float = 0.0, step_size: float = 0.1) -> Run:

@@ -11,7 +11,6 @@ from helpers import LAWS, slow
 
 from rodjax.dynamics.stepping import step
 from rodjax.equations import coupling
-from rodjax.equations.coupling import find_nearby
 from rodjax.equations.equations import step_equations
 from rodjax.interactions import contact_levels, screening
 from rodjax.interactions.contact import Contact
@@ -27,7 +26,7 @@ finer_and_coarser = pytest.mark.parametrize("bent", [slow(24), 14], indirect=Tru
 @finer_and_coarser
 def test_newton_system_is_the_exact_derivative(bent):
     scene, state, near = bent
-    equations = step_equations(scene, state, jnp.asarray(1e-3), jnp.asarray(0.8), near)
+    equations = step_equations(scene, state, jnp.asarray(1e-3), jnp.asarray(0.8), (near,))
     x = equations.guess(state.force)
     system = equations.linearize(x)
     matrix = jax.jacfwd(equations.residual)(x).reshape(x.size, x.size)
@@ -51,8 +50,8 @@ def test_a_strip_is_solved_as_a_dense_system(bent, monkeypatch):
     b = jnp.asarray(np.random.default_rng(1).normal(size=(state.position.shape[0], 9)))
 
     def solutions():
-        near = find_nearby(scene, state.position)
-        equations = step_equations(scene, state, jnp.asarray(1e-3), jnp.asarray(0.8), near)
+        near = scene.find(state.position)[-1]
+        equations = step_equations(scene, state, jnp.asarray(1e-3), jnp.asarray(0.8), (near,))
         system = equations.linearize(equations.guess(state.force))
         front = system.coupling.levels[int(near.near.level) - 1].front
         found = system.solve(b), system.solve_transpose(b), system.eliminate().solve(b)
@@ -85,8 +84,8 @@ def test_batches_of_right_sides_and_of_systems(bent):
 
     @jax.jit
     def equations(state):
-        nearby = find_nearby(scene, state.position)
-        return step_equations(scene, state, jnp.asarray(1e-3), jnp.asarray(0.5), nearby)
+        nearby = scene.find(state.position)[-1]
+        return step_equations(scene, state, jnp.asarray(1e-3), jnp.asarray(0.5), (nearby,))
 
     system = lambda state: equations(state).linearize(equations(state).guess(state.force))
 
@@ -121,8 +120,8 @@ def test_batches_of_right_sides_and_of_systems(bent):
 @finer_and_coarser
 def test_a_held_derivative_leads_to_the_same_motion(bent):
     scene, state, _ = bent
-    nearby = find_nearby(scene, state.position)
-    equations = step_equations(scene, state, jnp.asarray(1e-3), jnp.asarray(0.5), nearby)
+    nearby = scene.find(state.position)[-1]
+    equations = step_equations(scene, state, jnp.asarray(1e-3), jnp.asarray(0.5), (nearby,))
     assert int(nearby.near.count) > 0
     rest = (equations.guess(state.force), jnp.asarray(1e-11), jnp.asarray(20))
     whole, each = jax.jit(lambda: newton.iterate(equations, *rest))()
@@ -141,9 +140,9 @@ def test_every_size_of_solver_gives_the_same_increment(bent):
     for sizes in ((21,), (4, 18, 21)):
         contact = dataclasses.replace(apart, capacities=sizes)
         same = eqx.tree_at(lambda s: s.contact, scene, contact)
-        near = find_nearby(same, state.position, 1e-3 * state.velocity)
+        near = same.find(state.position, 1e-3 * state.velocity)[-1]
         assert int(near.near.level) == len(sizes) - (len(sizes) > 1)
-        equations = step_equations(same, state, jnp.asarray(1e-3), jnp.asarray(0.8), near)
+        equations = step_equations(same, state, jnp.asarray(1e-3), jnp.asarray(0.8), (near,))
         found.append(equations.newton_increment(equations.guess(state.force)))
     np.testing.assert_allclose(found[1], found[0], atol=1e-12)
 

@@ -16,7 +16,8 @@ from rodjax.dynamics.windows import Windows, defects, roll
 from rodjax.fitting.observations import positions_at
 from rodjax.interactions.contact import Contact
 from rodjax.interactions.contact_laws import Barrier
-from rodjax.interactions.loads import AbstractLoad, LinearDrag
+from rodjax.interactions.load import AbstractLoad
+from rodjax.interactions.loads import LinearDrag
 from rodjax.numerics.failure import not_a_number
 from rodjax.numerics.results import Result, SimulationError
 from rodjax.rods.rod import straight_rod

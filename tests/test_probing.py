@@ -13,7 +13,8 @@ from helpers import UNIT_SECTION
 
 from rodjax import rotations
 from rodjax.constraints.ends import AbstractEnd, Clamped
-from rodjax.interactions.loads import AbstractLoad, DistributedLoad, Gravity
+from rodjax.interactions.load import AbstractLoad
+from rodjax.interactions.loads import DistributedLoad, Gravity
 from rodjax.rods.rod import straight_rod
 from rodjax.scenes import probing
 from rodjax.scenes.scene import Scene

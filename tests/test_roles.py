@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from jaxtyping import Array, Float
+from scipy.integrate import solve_ivp
 
 import rodjax as rx
 from rodjax.measuring import energy
@@ -118,6 +119,80 @@ def test_the_energy_has_derivatives():
 
     value, slope = jax.jit(jax.value_and_grad(stored))(jnp.asarray(STIFFNESS))
     np.testing.assert_allclose([value, slope], [0.015 * STIFFNESS, 0.015], rtol=1e-12)
+
+
+class Wall(rx.AbstractLoad):
+    """A wall at x = 0 that no force presses a rod into: k/x per length, and dashpots c/x."""
+
+    stiffness: Float[Array, ""]  # [N]
+    damping: Float[Array, ""]  # [N s/m]
+    careful: bool = dataclasses.field(default=True, metadata={"static": True})
+
+    @property
+    def role(self):
+        return rx.Role.CONTACT
+
+    def energy(self, rod, motion):
+        return -self.stiffness * jnp.sum(rod.node_length * jnp.log(motion.position[:, 0]))
+
+    def wrench(self, rod, motion):
+        x, speed = motion.position[:, 0], motion.velocity[:, 0]
+        push = rod.node_length * (self.stiffness - self.damping * speed) / x
+        return jnp.zeros((len(x), 6), x.dtype).at[:, 0].set(push)
+
+    def safe_fraction(self, rod, position, change, found):
+        x, closing = position[:, 0], -change[:, 0]
+        nearing = closing > 0
+        return jnp.min(
+            jnp.where(nearing, 0.7 * x / jnp.where(nearing, closing, 1.0), 1.0), initial=1
+        )
+
+
+def before_the_wall(k, c, careful=True):
+    """A rod at x = 0.1 m, parallel to the wall and on its way to it, and its start."""
+    rod = rx.straight_rod(1.0, ELEMENTS, rx.circular_section(0.02, 1e9, 0.4e9, density=1500.0))
+    place = rod.position.at[:, 0].set(0.1)
+    rod = dataclasses.replace(rod, mass=jnp.full(ELEMENTS, MASS), position=place)
+    scene = rx.Scene(rod, loads=(Wall(jnp.asarray(k), jnp.asarray(c), careful),))
+    velocity = jnp.zeros((ELEMENTS + 1, 3)).at[:, 0].set(-2.0)
+    return scene, rx.start(scene, velocity=velocity)
+
+
+def test_a_wall_of_its_user_throws_a_rod_back():
+    """m x'' = (k - c x')/x; what is stored and lost in contact against an integration of that."""
+    k, c, until = 0.4, 0.02, 0.15
+    scene, state = before_the_wall(k, c)
+    run = rx.adaptive_rollout(scene, state, until, control=rx.StepControl(1e-3, 1e-5))
+    ledger = energy.ledger(scene, run)
+
+    def rates(_, y):
+        x, v = y[:2]
+        return [v, (k - c * v) / x / MASS, c * v**2 / x]
+
+    exact = solve_ivp(rates, (0, until), [0.1, -2, 0], rtol=1e-10, atol=1e-12, t_eval=run.times)
+    x, v, lost = exact.y
+    assert np.min(x) < 0.02 and v[-1] > 1
+    np.testing.assert_allclose(run.states.position[:, 3, 0], x, atol=2e-4)
+    np.testing.assert_allclose(ledger.contact_energy, -k * np.log(x), atol=2e-3)
+    np.testing.assert_allclose(ledger.contact_loss, lost, atol=2e-3)
+    assert lost[-1] > 0.1
+    np.testing.assert_allclose(
+        ledger.contact_work,
+        ledger.contact_energy - ledger.contact_energy[0] + ledger.contact_loss,
+        atol=2e-3,
+    )
+    for name in ("load_work", "gravity", "damping_loss", "drag_loss"):
+        np.testing.assert_array_equal(getattr(ledger, name), 0.0)
+    assert np.max(np.abs(ledger.residual)) < 2e-3
+
+
+@pytest.mark.parametrize("careful", [True, pytest.param(False, marks=pytest.mark.slow)])
+def test_no_increment_passes_a_wall(careful):
+    """A step whose prediction lies behind it ends before it, if the wall says what is safe."""
+    scene, state = before_the_wall(0.4, 0.0, careful)
+    new, info = rx.step(scene, state, state.time + 0.08)
+    before = int(info.result) == rx.Result.SUCCESS and float(new.position[0, 0]) > 0
+    assert before == careful
 
 
 class Wrong(Bed):

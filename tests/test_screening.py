@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from helpers import DIAMETER, LAWS, PAIR, hairpin
 
-from rodjax.equations.coupling import find_nearby
 from rodjax.interactions import contact as contact_of
 from rodjax.interactions import contact_forces as forces_of
 from rodjax.interactions import screening
@@ -71,7 +70,7 @@ def test_passage_is_seen_fast_or_slow(pieces):
 
     @eqx.filter_jit
     def seen(before, after):
-        nearby = find_nearby(scene, before, after - before)
+        nearby = scene.find(before, after - before)[-1]
         return screening.passage_suspected(*nearby, before, after)
 
     def passed(shift):
@@ -95,7 +94,7 @@ def test_no_passage_is_seen_along_one_strand(bend):
 
     @eqx.filter_jit
     def seen(before, after):
-        nearby = find_nearby(scene, before, after - before)
+        nearby = scene.find(before, after - before)[-1]
         return nearby.near.count, screening.passage_suspected(*nearby, before, after)
 
     def shape():

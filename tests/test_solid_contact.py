@@ -12,7 +12,6 @@ from test_contact_potential import meeting, report
 
 import rodjax as rx
 from rodjax.equations import overlap
-from rodjax.equations.coupling import find_nearby
 from rodjax.interactions.contact_laws import PairProperties
 from rodjax.scenes.placing import placing
 
@@ -208,7 +207,7 @@ def deepest(contact, **shape):
 @jax.jit
 def in_a_step(scene, position):
     held = overlap.distances_held(scene)
-    return overlap.too_near(scene.contact, find_nearby(scene, position), held, position)
+    return overlap.too_near(scene.contact, scene.find(position)[-1], held, position)
 
 
 def test_overlap_is_found_where_it_is(solid):

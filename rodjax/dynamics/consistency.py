@@ -15,11 +15,10 @@ from jaxtyping import Array, Float
 from rodjax.constraints import ends
 from rodjax.equations import start_checks
 from rodjax.equations.constrained import Constrained
-from rodjax.equations.imbalance import imbalance
+from rodjax.equations.imbalance import acting_on, imbalance
 from rodjax.equations.overlap import check_apart
 from rodjax.inputs.argument_types import AnyArray
 from rodjax.inputs.validation import check_finite, check_numbers, check_scalar
-from rodjax.interactions import contact_forces
 from rodjax.numerics import rotations
 from rodjax.numerics.compilation import compiled
 from rodjax.numerics.failure import not_a_number
@@ -154,14 +153,8 @@ def restart(
     still = jnp.zeros_like(state.rate)
     rate, loss = (still, jnp.zeros_like(state.time)) if rod.mass is None else system.project()
     motion = system.moving(rate)
-    pushed = None
-    if scene.contact is not None:
-        at = motion.position, motion.velocity
-        pushed = contact_forces.report(scene.contact, rod, *at, scene.closed).force
-    acting = imbalance(
-        scene, motion, jnp.zeros_like(state.force), acceleration=still, contact_force=pushed
-    )
-    wrench = -acting[0]
+    none = jnp.zeros_like(state.force)
+    wrench = -imbalance(scene, motion, none, acting_on(scene, motion), still)[0]
     velocities, accelerations = zip(*system.prescribed(ends.rates), strict=True)
 
     if rod.mass is None:

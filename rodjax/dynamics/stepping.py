@@ -10,7 +10,6 @@ from jaxtyping import Array, Bool, Float, Int
 
 from rodjax.dynamics.consistency import project
 from rodjax.equations import overlap
-from rodjax.equations.coupling import find_nearby
 from rodjax.equations.equations import step_equations
 from rodjax.equations.generalized_alpha import (
     GeneralizedAlpha,
@@ -19,7 +18,6 @@ from rodjax.equations.generalized_alpha import (
     opening,
 )
 from rodjax.equations.start_checks import held_twice
-from rodjax.interactions import screening
 from rodjax.numerics import newton, rotations
 from rodjax.numerics.batching import only_where
 from rodjax.numerics.results import Result, as_code, join
@@ -167,11 +165,8 @@ def advance_to(
         state = dataclasses.replace(state, rate=rate, auxiliary=auxiliary, jerk=jerk)
     equations = step_equations(scene, state, stop, radius)
     guess = equations.guess(state.force)
-    if scene.contact is not None:
-        expected = equations.increment(guess)[:, :3]
-        nearby = find_nearby(scene, state.position, expected)
-        nearby = nearby._replace(near=checkpoint_name(nearby.near, newton.SOLUTION))
-        equations = dataclasses.replace(equations, nearby=nearby)
+    found = scene.find(state.position, equations.increment(guess)[:, :3])
+    equations = dataclasses.replace(equations, found=found)
     guess = equations.limited(guess)
     tolerance = method.newton_tolerance(state.position.dtype)
     iterations = method.max_iterations
@@ -195,22 +190,15 @@ def advance_to(
     )
     error = local_error(scheme.coefficients, state.auxiliary, auxiliary)
     largest = lambda v: jnp.sqrt(jnp.max(jnp.sum(lax.stop_gradient(v) ** 2, 1)))
-    contact_code = jnp.asarray(Result.SUCCESS, jnp.int32)
-    if scene.contact is not None:
-        assert equations.nearby is not None
-        passed = screening.passage_suspected(*equations.nearby, state.position, new.position)
-        contact_code = join(
-            jnp.where(passed, Result.STRAND_PASSAGE, Result.SUCCESS),
-            jnp.where(equations.nearby.near.overflow, Result.CAPACITY_OVERFLOW, Result.SUCCESS),
-        )
-        if held is not None:
-            deep = overlap.too_near(scene.contact, equations.nearby, held, new.position)
-            contact_code = join(
-                contact_code, jnp.where(deep, Result.CONTACT_OVERCOME, Result.SUCCESS)
-            )
+    codes = []
+    for one, its in zip(scene.interactions, found, strict=True):
+        codes.append(one.verdict(scene.rod, state.position, new.position, its))
+    if scene.contact is not None and held is not None:
+        deep = overlap.too_near(scene.contact, found[-1], held, new.position)
+        codes.append(jnp.where(deep, Result.CONTACT_OVERCOME, Result.SUCCESS))
     turned_far = (largest(increment[:, 3:]) > jnp.pi) | wound(new.quaternion)
     code = jnp.where(turned_far, Result.ROTATION_TOO_LARGE, Result.SUCCESS)
-    code = join(solved.result, contact_code, code)
+    code = join(solved.result, *(one for one in codes if one is not None), code)
     if too_fast is not None:
         code = join(code, jnp.where(too_fast, Result.DRIVE_TOO_FAST, Result.SUCCESS))
     info = StepInfo(

@@ -11,7 +11,7 @@ from jaxtyping import Array, Float
 
 from rodjax.constraints import ends
 from rodjax.equations.assembly import Scales, assemble, residual_rows
-from rodjax.interactions.loads import total_wrench
+from rodjax.interactions.load import total_wrench
 from rodjax.numerics import newton
 from rodjax.numerics.block_tridiagonal import BlockTridiagonal
 from rodjax.rods import balance, inertia, stretch_rates

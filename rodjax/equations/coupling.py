@@ -5,34 +5,19 @@ reads the displacements of those joints, L puts forces on them into the force ba
 """
 
 import dataclasses
-from typing import NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from rodjax.equations.assembly import Scales
-from rodjax.interactions.contact import Contact, Sites, interpolate, sites, spread
+from rodjax.interactions.contact import Contact, Sites, interpolate, spread
 from rodjax.interactions.contact_forces import forces_and_derivative, gather, joints_of
 from rodjax.interactions.contact_levels import Level, levels
-from rodjax.interactions.screening import Near, search
+from rodjax.interactions.screening import Near
+from rodjax.interactions.self_contact import Nearby, on_nodes
 from rodjax.rods.state import NodeMotion
 from rodjax.scenes.holds import Node, with_row
-from rodjax.scenes.scene import Scene
-
-
-class Nearby(NamedTuple):
-    """Where the rod can touch itself, and the pairs found near each other."""
-
-    where: Sites
-    near: Near
-
-
-def find_nearby(scene: Scene, position: Float[Array, "nodes 3"], displacement=None) -> Nearby:
-    """Search for contact, before a motion of the expected displacement if one is given."""
-    assert scene.contact is not None
-    where = sites(scene.contact, scene.rod, scene.closed)
-    return Nearby(where, search(scene.contact, where, position, displacement))
 
 
 class Coupling(eqx.Module):
@@ -85,8 +70,8 @@ def couple(
     projectors: Float[Array, "h 6 6"],
     nodes: tuple[Node, ...],
     scales: Scales,
-) -> tuple[Float[Array, "nodes 3"], Coupling]:
-    """Contact forces on the nodes [N], and their derivative in a system as `assembly.assemble`'s.
+) -> tuple[Float[Array, "nodes 6"], Coupling]:
+    """What contact exerts on the nodes, and their derivative in a system as `assembly.assemble`'s.
 
     Velocities follow positions by the factor `by_velocity`.
     """
@@ -104,4 +89,4 @@ def couple(
         jnp.broadcast_to(jnp.eye(9, 3, dtype=left.dtype)[None], left.shape),
         levels(contact, count - 1),
     )
-    return spread(where, found.force, count), coupling
+    return on_nodes(spread(where, found.force, count)), coupling

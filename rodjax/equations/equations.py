@@ -11,17 +11,24 @@ from rodjax.constraints import ends
 from rodjax.equations.anchored import AnchoredSystem
 from rodjax.equations.assembly import Scales, assemble, residual_rows
 from rodjax.equations.coupled import CoupledSystem
-from rodjax.equations.coupling import Coupling, Nearby, couple, find_nearby
+from rodjax.equations.coupling import Coupling, couple
 from rodjax.equations.generalized_alpha import coefficients
-from rodjax.equations.imbalance import Moving, imbalance, node_tangent
+from rodjax.equations.imbalance import (
+    Acting,
+    Moving,
+    imbalance,
+    node_tangent,
+    of_contact,
+    of_loads,
+)
 from rodjax.equations.schemes import AbstractScheme, Step
-from rodjax.interactions import contact_forces, screening
+from rodjax.interactions.self_contact import Nearby
 from rodjax.numerics import newton, rotations
 from rodjax.numerics.batching import one_by_one
 from rodjax.rods import balance
 from rodjax.rods.state import NodeMotion, State, at_rest
 from rodjax.scenes.holds import impose, rows_at
-from rodjax.scenes.scene import Scene, projectors
+from rodjax.scenes.scene import Found, Scene, projectors
 
 # Largest rotation of a node that Newton's iteration may begin with [rad].
 _LARGEST_TURN = 1.0
@@ -56,7 +63,7 @@ class Equations(eqx.Module, Generic[Scheme]):
         time: when loads and drives are evaluated [s].
         projectors: directions that ends and supports hold.
         goals: where they hold them.
-        nearby: strands near each other, held while Newton iterates; None: those near at x.
+        found: by what acts on the rod, held while Newton iterates; None: what is near at x.
     """
 
     scene: Scene
@@ -65,7 +72,7 @@ class Equations(eqx.Module, Generic[Scheme]):
     scales: Scales
     projectors: Float[Array, "h 6 6"]
     goals: _Goals
-    nearby: Nearby | None = None
+    found: Found | None = None
 
     @classmethod
     def of(
@@ -74,12 +81,12 @@ class Equations(eqx.Module, Generic[Scheme]):
         scheme: Scheme,
         start: State,
         time: Float[Array, ""],
-        nearby: Nearby | None = None,
+        found: Found | None = None,
     ) -> "Equations[Scheme]":
         """At `time`, what holds the rod at `start` moved by its schedules since."""
         goals = _goals(scene, scheme, start, time)
         held = projectors(scene, start.time)
-        return cls(scene, scheme, time, _scales(scene, scheme), held, goals, nearby)
+        return cls(scene, scheme, time, _scales(scene, scheme), held, goals, found)
 
     def guess(self, force: Float[Array, "n 3"]) -> Float[Array, "nodes 9"]:
         """x as the scheme expects it, with these internal forces of the elements."""
@@ -114,28 +121,22 @@ class Equations(eqx.Module, Generic[Scheme]):
         # the barrier keeps XLA from evaluating all this anew in every kernel that reads it
         return lax.optimization_barrier(_Placed(motion, acceleration, change, increment))
 
-    def _near(self, position, displacement=None) -> Nearby:
-        if self.nearby is not None:
-            return self.nearby
-        return find_nearby(self.scene, position, displacement)
+    @property
+    def nearby(self) -> Nearby | None:
+        """Strands held to be near each other; None without contact, or where they are searched."""
+        if self.found is None or self.scene.contact is None:
+            return None
+        return self.found[-1]
 
     def residual(self, x):
         """Scaled residual."""
-        placed, contact, push = self._placed(x), self.scene.contact, None
-        if contact is not None:
-            at = placed.motion.position, placed.motion.velocity
-            push = contact_forces.forces(contact, self.scene.rod, *self._near(at[0]), *at)
-        return self._residual(x, placed, push)
+        placed = self._placed(x)
+        return self._residual(x, placed, of_contact(self.scene, placed.motion, self.nearby))
 
-    def _residual(self, x, placed: _Placed, push):
-        wrench, constraint = imbalance(
-            self.scene,
-            placed.motion,
-            self.force(x),
-            acceleration=placed.acceleration,
-            contact_force=push,
-            load_factor=self.scheme.load_part(),
-        )
+    def _residual(self, x, placed: _Placed, push: Acting):
+        scene, motion = self.scene, placed.motion
+        acting = (*of_loads(scene, motion, self.scheme.load_part()), *push)
+        wrench, constraint = imbalance(scene, motion, self.force(x), acting, placed.acceleration)
         wrench, constraint = self.scheme.completed(placed.change, wrench, constraint)
         scales = self.scales
         nodes = self.scene.held_nodes
@@ -154,15 +155,18 @@ class Equations(eqx.Module, Generic[Scheme]):
         push, coupling = self._contact(placed.motion)
         return self._system(x, placed, coupling).solve_once(-self._residual(x, placed, push))
 
-    def _contact(self, motion: NodeMotion) -> tuple[Array | None, Coupling | None]:
-        """Contact forces on the nodes [N], and their derivative in the Newton system."""
+    def _contact(self, motion: NodeMotion) -> tuple[Acting, Coupling | None]:
+        """What contact exerts on the nodes, and its derivative in the Newton system."""
         contact, slopes = self.scene.contact, self.scheme.slopes()
         if contact is None:
-            return None, None
+            return (), None
         by_velocity = jnp.zeros_like(self.scales.force) if slopes is None else slopes.by_velocity
-        nearby = self._near(motion.position)
+        nearby = self.nearby
+        if nearby is None:
+            nearby = self.scene.find(motion.position)[-1]
         held = self.projectors, self.scene.held_nodes
-        return couple(contact, nearby, motion, by_velocity, *held, self.scales)
+        push, coupling = couple(contact, nearby, motion, by_velocity, *held, self.scales)
+        return (push,), coupling
 
     def _system(self, x, placed: _Placed, coupling: Coupling | None):
         scene, scheme, motion = self.scene, self.scheme, placed.motion
@@ -212,8 +216,9 @@ class Equations(eqx.Module, Generic[Scheme]):
 
     def without_contact(self) -> "Equations[Scheme]":
         """The equations of strands that do not feel each other."""
-        where = lambda equations: (equations.scene.contact, equations.nearby)
-        return eqx.tree_at(where, self, (None, None), is_leaf=lambda leaf: leaf is None)
+        where = lambda equations: (equations.scene.contact, equations.found)
+        left = None if self.found is None else self.found[: len(self.scene.loads)]
+        return eqx.tree_at(where, self, (None, left), is_leaf=lambda leaf: leaf is None)
 
     def lift(self, x, dx):
         """Increment of x for solved increments, whose rotations are body spins."""
@@ -225,21 +230,24 @@ class Equations(eqx.Module, Generic[Scheme]):
         return x + self.lift(x, dx)
 
     def limit(self, x, dx):
-        """How much of an increment turns no node too far and lets no strands pass."""
+        """How much of an increment turns no node too far and is safe for all that acts."""
         scale = jnp.ones((), x.dtype)
         most = self.scheme.turn_limit()
         if most is not None:
             largest = jnp.sqrt(jnp.max(jnp.sum(dx[:, 6:] ** 2, 1)))
             scale = jnp.minimum(scale, most / jnp.maximum(largest, most))
-        if self.scene.contact is None:
-            return scale
         position = self.scheme.origin()[0] + self.increment(x)[:, :3]
-        return jnp.minimum(scale, self._approach(position, dx[:, :3] * self.scales.length))
+        return self._safe(scale, position, dx[:, :3] * self.scales.length)
 
-    def _approach(self, position, displacement):
-        assert self.scene.contact is not None
-        nearby = self._near(position, displacement)
-        return screening.approach_limit(self.scene.contact, *nearby, position, displacement)
+    def _safe(self, scale, position, change):
+        """The scale of a change of positions, or less where what acts asks for less."""
+        scene = self.scene
+        found = scene.find(position, change) if self.found is None else self.found
+        for one, its in zip(scene.interactions, found, strict=True):
+            safe = one.safe_fraction(scene.rod, position, change, its)
+            if safe is not None:
+                scale = jnp.minimum(scale, lax.stop_gradient(safe))
+        return scale
 
     def limited(self, x):
         """The guess x with its increment scaled down where it turns a node or closes a gap too far.
@@ -249,8 +257,7 @@ class Equations(eqx.Module, Generic[Scheme]):
         full = self.increment(x)
         turn = jnp.sqrt(jnp.max(jnp.sum(lax.stop_gradient(full[:, 3:]) ** 2, 1)))
         scale = _LARGEST_TURN / jnp.maximum(turn, _LARGEST_TURN)
-        if self.scene.contact is not None:
-            scale = jnp.minimum(scale, self._approach(self.scheme.origin()[0], full[:, :3]))
+        scale = self._safe(scale, self.scheme.origin()[0], full[:, :3])
         change = (scale - 1) * full
         return x.at[:, :3].add(change[:, :3] / self.scales.length).at[:, 6:].add(change[:, 3:])
 
@@ -265,11 +272,11 @@ def step_equations(
     state: State,
     stop: Float[Array, ""],
     spectral_radius: Float[Array, ""],
-    nearby: Nearby | None = None,
+    found: Found | None = None,
 ) -> Equations[Step]:
     """Equations of a step of generalised-alpha to `stop`."""
     scheme = Step(coefficients(spectral_radius, stop - state.time), state)
-    return Equations.of(scene, scheme, state, stop, nearby)
+    return Equations.of(scene, scheme, state, stop, found)
 
 
 def _scales(scene: Scene, scheme: AbstractScheme) -> Scales:

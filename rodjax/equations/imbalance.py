@@ -1,7 +1,7 @@
 """What the nodes' balances and the elements' constraint lack, moving or at rest.
 
-internal + inertia - loads - contact, summed here for the equations of a step, of a rod at rest, of
-a start, and for the reactions of the ends.
+internal + inertia - what acts on the nodes, summed here for the equations of a step, of a rod at
+rest, of a start, and for the reactions of what holds it.
 """
 
 from typing import NamedTuple
@@ -11,8 +11,8 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from rodjax.inputs.argument_types import Number
-from rodjax.interactions import contact_forces
-from rodjax.interactions.loads import total_wrench
+from rodjax.interactions.load import total_wrench
+from rodjax.interactions.self_contact import Nearby
 from rodjax.numerics import rotations
 from rodjax.rods import balance
 from rodjax.rods.balance import Internal
@@ -21,34 +21,51 @@ from rodjax.rods.state import NodeMotion, State, at_rest
 from rodjax.scenes.scene import Scene
 
 Factor = Number | Float[Array, ""]
+Acting = tuple[Float[Array, "nodes 6"], ...]
 
 
 def imbalance(
     scene: Scene,
     motion: NodeMotion,
     force: Float[Array, "n 3"],
-    *,
+    acting: Acting,
     acceleration: Float[Array, "nodes 6"] | None = None,
-    contact_force: Float[Array, "nodes 3"] | None = None,
-    load_factor: Factor | None = None,
 ) -> tuple[Float[Array, "nodes 6"], Float[Array, "n 3"]]:
     """Wrench that every node lacks (force inertial, moment body), and the constraint.
 
     Args:
         force: internal force of the elements [N].
+        acting: what else acts on the nodes, see `acting_on`.
         acceleration: of the nodes; None for no inertia.
-        contact_force: what strands exert on the nodes [N]; None for nothing.
-        load_factor: what part of the loads acts; None for all of it.
     """
     inner = balance.internal(scene.rod, motion.position, motion.quaternion, force)
     wrench = jnp.concatenate([inner.force, inner.moment], 1)
     if scene.rod.mass is not None and acceleration is not None:
         wrench = wrench + inertial_wrench(scene, motion, acceleration)
-    if scene.loads:
-        wrench = wrench - _part(total_wrench(scene.loads, scene.rod, motion), load_factor)
-    if contact_force is not None:
-        wrench = wrench.at[:, :3].add(-contact_force)
+    for one in acting:
+        wrench = wrench - one
     return wrench, inner.constraint
+
+
+def of_loads(scene: Scene, motion: NodeMotion, load_factor: Factor | None = None) -> Acting:
+    """What the loads exert on the nodes, or a part of it; nothing without loads."""
+    if not scene.loads:
+        return ()
+    return (_part(total_wrench(scene.loads, scene.rod, motion), load_factor),)
+
+
+def of_contact(scene: Scene, motion: NodeMotion, nearby: Nearby | None = None) -> Acting:
+    """What strands exert on the nodes, searched for where these are unless that is given."""
+    contact = scene.self_contact
+    if contact is None:
+        return ()
+    found = scene.find(motion.position)[-1] if nearby is None else nearby
+    return (contact.exerted(scene.rod, motion, found),)
+
+
+def acting_on(scene: Scene, motion: NodeMotion, load_factor: Factor | None = None) -> Acting:
+    """What all that acts on the nodes exerts on them, strands searched for where these are."""
+    return (*of_loads(scene, motion, load_factor), *of_contact(scene, motion))
 
 
 def _part(wrench, load_factor: Factor | None):
@@ -117,11 +134,7 @@ def static_imbalance(
     load_factor: Factor | None = None,
 ) -> tuple[Float[Array, "nodes 6"], Float[Array, "n 3"]]:
     """`imbalance` without inertia, contact searched for where the nodes are."""
-    pushed = None
-    if scene.contact is not None:
-        at = motion.position, motion.velocity
-        pushed = contact_forces.report(scene.contact, scene.rod, *at, scene.closed).force
-    return imbalance(scene, motion, force, contact_force=pushed, load_factor=load_factor)
+    return imbalance(scene, motion, force, acting_on(scene, motion, load_factor))
 
 
 def lacking(scene: Scene, state: State, load_factor: Factor = 0.0) -> Internal:

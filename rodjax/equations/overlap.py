@@ -22,10 +22,10 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 from scipy.spatial import KDTree
 
-from rodjax.equations.coupling import Nearby
 from rodjax.interactions.contact import Contact, Sites, along, interpolate, sites
 from rodjax.interactions.contact_energy import pair_energy
 from rodjax.interactions.contact_laws import PairProperties
+from rodjax.interactions.self_contact import Nearby
 from rodjax.numerics import newton
 from rodjax.numerics.batching import only_where
 from rodjax.numerics.compilation import compiled

@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from rodjax.interactions.loads import total_wrench
+from rodjax.interactions.load import total_wrench
 from rodjax.numerics import rotations
 from rodjax.rods.state import State, at_rest
 from rodjax.scenes.scene import Scene, directions

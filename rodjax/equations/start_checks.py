@@ -13,7 +13,7 @@ from jaxtyping import Array, Bool, Float
 
 from rodjax.equations.imbalance import static_imbalance
 from rodjax.inputs.validation import known
-from rodjax.interactions.loads import total_wrench
+from rodjax.interactions.load import total_wrench
 from rodjax.numerics import rotations
 from rodjax.numerics.compilation import compiled
 from rodjax.rods.balance import constraint_tangent

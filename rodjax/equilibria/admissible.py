@@ -22,7 +22,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Complex, Float
 
 from rodjax.equations.imbalance import static_imbalance
-from rodjax.interactions.loads import total_wrench
+from rodjax.interactions.load import total_wrench
 from rodjax.numerics.eigenvalues import far_above
 from rodjax.rods import balance
 from rodjax.rods.inertia import inertial_wrench, node_jacobian

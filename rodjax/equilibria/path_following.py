@@ -26,7 +26,6 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
-from rodjax.equations.coupling import find_nearby
 from rodjax.equations.equations import Equations
 from rodjax.equations.imbalance import lacking
 from rodjax.equations.rigid_motions import Hold
@@ -260,7 +259,7 @@ def _overflow(equations: Equations[AtRest], x) -> Int[Array, ""]:
     """A code that tells whether pairs in contact were left out."""
     if equations.scene.contact is None:
         return results.as_code(Result.SUCCESS)
-    near = find_nearby(equations.scene, equations.motion(x).position).near
+    near = equations.scene.find(equations.motion(x).position)[-1].near
     return jnp.where(near.overflow, Result.CAPACITY_OVERFLOW, Result.SUCCESS).astype(jnp.int32)
 
 

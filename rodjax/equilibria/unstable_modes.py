@@ -21,7 +21,7 @@ from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
 from rodjax.equations.assembly import Scales, assemble
-from rodjax.equations.coupling import Coupling, couple, find_nearby
+from rodjax.equations.coupling import Coupling, couple
 from rodjax.equations.equations import Equations
 from rodjax.equations.imbalance import node_tangent
 from rodjax.equations.schemes import AtRest
@@ -84,7 +84,7 @@ def _count(equations: Equations[AtRest], x, added: Float[Array, "nodes 6"]) -> I
     by_eigenvalues = lambda: _reduced(equations, motion, blocks, coupling, added, even)
     if contact is None:
         return by_eigenvalues()
-    nearby = find_nearby(equations.scene, motion.position)
+    nearby = equations.scene.find(motion.position)[-1]
     still, nowhere = jnp.zeros((), x.dtype), (jnp.zeros((0, 6, 6), x.dtype), ())
     coupling = couple(contact, nearby, motion, still, *nowhere, equations.scales)[1]
     if supports:

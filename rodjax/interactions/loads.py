@@ -1,12 +1,5 @@
-"""Distributed and point loads: what acts on the nodes besides the rod itself.
+"""Distributed and point loads."""
 
-A load gives the wrench on every node from that node's own motion alone, so that its tangent is
-one 6x6 block a node. A scene holds a tuple of loads; they are summed.
-"""
-
-import abc
-import functools
-import operator
 from collections.abc import Callable
 
 import equinox as eqx
@@ -32,10 +25,10 @@ from rodjax.inputs.validation import (
     known,
     shown,
 )
+from rodjax.interactions.load import AbstractLoad
 from rodjax.interactions.roles import Role
 from rodjax.numerics import rotations
 from rodjax.rods.rod import Rod
-from rodjax.rods.state import NodeMotion
 
 
 def _check_coefficients(**values):
@@ -48,59 +41,6 @@ def _check_vector(**values):
     """Three finite components each."""
     check_shape((3,), **values)
     check_finite(**values)
-
-
-class AbstractLoad(eqx.Module):
-    """A load on the nodes. Your own is a subclass: `wrench`, and what else it has of the rest."""
-
-    @abc.abstractmethod
-    def wrench(self, rod: Rod, motion: NodeMotion) -> Float[Array, "nodes 6"]:
-        """Force (inertial) [N] and moment (body) [N m] on each node, from its own motion only."""
-
-    @property
-    def role(self) -> Role:
-        """How its work is booked: as put in, unless it says that it is stored or lost."""
-        return Role.DRIVEN
-
-    def energy(self, rod: Rod, motion: NodeMotion) -> Float[Array, ""]:
-        """Potential energy of a load whose role is STORED [J].
-
-        Its slope is minus the wrench on a rod at rest: for displacements (inertial) of the force,
-        for body spins of the moment.
-        """
-        raise ValueError(
-            f"{type(self).__name__}: a load whose role is STORED needs energy(rod, motion)"
-        )
-
-    @property
-    def may_hold(self) -> bool:
-        """Whether it might hold a rod that ends leave free, for all that a look at it tells."""
-        return False
-
-    @property
-    def resistance(self) -> tuple[Array, Array, Array] | None:
-        """Force per length and velocity, normal and tangential [N s/m^2], and moment per length and
-        spin about the tangent [N s]: what a rod without inertia rests on. None for a load that
-        gives it none.
-        """
-        return None
-
-    def check(self, rod: Rod) -> None:
-        """Raise ValueError where the rod lacks what the load needs."""
-
-    @property
-    def schedules(self) -> dict[str, AbstractSchedule]:
-        """What the load prescribes over time, by argument."""
-        return {}
-
-    @property
-    def inertia(self) -> bool:
-        """Whether the load adds mass to the nodes."""
-        return False
-
-    def added_mass(self, rod: Rod, motion: NodeMotion) -> Float[Array, "nodes 3 3"] | None:
-        """Mass matrix of the nodes that the load adds (inertial axes), or None."""
-        return None
 
 
 def _need(rod: Rod, name: str, load: str) -> Float[Array, " n"]:
@@ -349,10 +289,3 @@ class PointLoad(AbstractLoad):
         here = jnp.arange(nodes, dtype=node.dtype)[:, None] == node
         elsewhere = jnp.where((node >= 0) & (node < nodes), 0.0, jnp.nan)
         return jnp.where(here, both, elsewhere.astype(both.dtype))
-
-
-def total_wrench(
-    loads: tuple[AbstractLoad, ...], rod: Rod, motion: NodeMotion
-) -> Float[Array, "nodes 6"]:
-    """Sum of the loads on the nodes; there must be at least one."""
-    return functools.reduce(operator.add, (load.wrench(rod, motion) for load in loads))

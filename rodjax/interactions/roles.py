@@ -11,9 +11,12 @@ class Role(enum.Enum):
         beyond its wrench on a resting rod is `damping_loss`.
     DRAG: lost to a fluid, `drag_loss`.
     DAMPING: lost otherwise, `damping_loss`.
+    CONTACT: with what the rod touches, `contact_work`: its potential is `contact_energy`, what it
+        exerts beyond its wrench on a resting rod `contact_loss`.
     """
 
     DRIVEN = "driven"
     STORED = "stored"
     DRAG = "drag"
     DAMPING = "damping"
+    CONTACT = "contact"

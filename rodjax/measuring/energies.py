@@ -3,14 +3,13 @@
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from rodjax.interactions import contact_forces
-from rodjax.interactions.contact_energy import contact_energy as energy_of_contact
+from rodjax.equations.imbalance import of_contact
 from rodjax.interactions.roles import Role
 from rodjax.rods import inertia
 from rodjax.rods.rod import Rod
 from rodjax.rods.state import NodeMotion, State
 from rodjax.rods.strains import curvature, strains
-from rodjax.scenes.scene import Scene
+from rodjax.scenes.scene import Found, Scene
 
 
 def node_motion(state: State) -> NodeMotion:
@@ -70,32 +69,39 @@ def gravity_energy(scene: Scene, state: State) -> Float[Array, ""]:
 
     And of your own loads that store energy.
     """
-    energy = jnp.zeros((), state.position.dtype)
-    for load in scene.loads:
-        if load.role is Role.STORED:
-            energy = energy + load.energy(scene.rod, node_motion(state))
-    return energy
+    return stored(scene, state, Role.STORED)
 
 
 def contact_energy(scene: Scene, state: State) -> Float[Array, ""]:
     """What strands at rest have stored in the law between them [J], zero without contact.
 
-    Not a number where an aperture leaves the contact force without potential.
+    And your own loads whose role is CONTACT. Not a number where an aperture leaves the contact
+    force without potential.
     """
-    if scene.contact is None:
-        return jnp.zeros((), state.position.dtype)
-    return energy_of_contact(scene.contact, scene.rod, state.position, scene.closed)
+    energy = stored(scene, state, Role.CONTACT)
+    for one in scene.interactions:
+        if one.role is Role.CONTACT:
+            energy = jnp.where(one.conservative, energy, jnp.nan)
+    return energy
+
+
+def stored(scene: Scene, state: State, role: Role, found: Found | None = None) -> Float[Array, ""]:
+    """Potential energy of what acts in a role that stores, zero where there is no potential [J].
+
+    Args:
+        found: by what acts, see `Scene.find`; None: looked for in the state.
+    """
+    found = scene.find(state.position) if found is None else found
+    energy = jnp.zeros((), state.position.dtype)
+    for one, its in zip(scene.interactions, found, strict=True):
+        if one.role is role:
+            energy = energy + one.stored(scene.rod, node_motion(state), its)
+    return energy
 
 
 def contact_wrench(scene: Scene, state: State) -> Float[Array, "nodes 6"]:
     """What the scene's contact exerts on the nodes of this state.
 
     Columns: force, inertial (3) [N], and moment in the body frame (3) [N m].
-
-    The one place where energies and reactions meet contact.
     """
-    if scene.contact is None:
-        return jnp.zeros_like(state.rate)
-    at = state.position, state.velocity
-    forces = contact_forces.report(scene.contact, scene.rod, *at, scene.closed).force
-    return jnp.concatenate([forces, jnp.zeros_like(forces)], 1)
+    return sum(of_contact(scene, node_motion(state)), jnp.zeros_like(state.rate))

@@ -16,11 +16,6 @@ from jax import lax
 from jaxtyping import Array, Float
 
 from rodjax.dynamics.run import Run
-from rodjax.equations.coupling import Nearby, find_nearby
-from rodjax.interactions import contact_forces
-from rodjax.interactions.contact_energy import has_potential, stored
-from rodjax.interactions.contact_laws import PairProperties, ignores_approach
-from rodjax.interactions.loads import total_wrench
 from rodjax.interactions.roles import Role
 from rodjax.measuring.energies import (
     axial_energy,
@@ -30,15 +25,16 @@ from rodjax.measuring.energies import (
     gravity_energy,
     kinetic_energy,
     node_motion,
+    stored,
     strain_energy_density,
     torsion_energy,
 )
 from rodjax.measuring.reactions import Reactions, reactions, unbalanced
 from rodjax.numerics import rotations
 from rodjax.numerics.compilation import compiled
-from rodjax.rods.state import State, at_rest
+from rodjax.rods.state import State
 from rodjax.scenes.holds import rows_at
-from rodjax.scenes.scene import Scene, projectors
+from rodjax.scenes.scene import Found, Scene, projectors
 
 __all__ = [
     "Ledger",
@@ -72,13 +68,15 @@ class Ledger(NamedTuple):
         axial: stored in stretch and shear.
         kinetic: Eq. (6), with added mass.
         gravity: potential of the weight less buoyancy, and of your own loads that store energy.
-        contact_work: done by the rod on its contacts: stored there or lost.
+        contact_work: done by the rod on its contacts, with itself and with your own loads whose
+            role is CONTACT: stored there or lost.
         drag_loss: to `MorisonDrag`, and your own loads whose role is DRAG.
         damping_loss: to `LinearDrag`, your own loads whose role is DAMPING, and what those that
             store energy exert by motion.
         projection_loss: kinetic energy lost where a constraint began.
-        contact_energy: stored between the strands.
-        contact_loss: to the damping of the contact law; all its work where nothing is stored.
+        contact_energy: stored between the strands, and by such loads.
+        contact_loss: to the damping of the contact law and of such loads; all its work where
+            nothing is stored.
     """
 
     time: Float[Array, " k"]
@@ -137,59 +135,30 @@ class _Acting(NamedTuple):
     contact_damping: Float[Array, "nodes 6"] | None  # what of it is lost
 
 
-def _nearby(scene: Scene, state: State) -> Nearby | None:
-    """The strands near each other, searched for once for forces and energies."""
-    return None if scene.contact is None else find_nearby(scene, state.position)
+def _acting(scene: Scene, state: State, found: Found) -> _Acting:
+    motion, by_role, lost = node_motion(state), {}, {}
 
+    def book(column, role, wrench):
+        column[role] = column[role] + wrench if role in column else wrench
 
-def _acting(scene: Scene, state: State, nearby: Nearby | None) -> _Acting:
-    motion = node_motion(state)
-    touching = None if nearby is None else _pushed(scene, state.position, state.velocity, nearby)
-
-    def total(role):
-        loads = tuple(load for load in scene.loads if load.role is role)
-        return total_wrench(loads, scene.rod, motion) if loads else None
-
-    damping, resting = total(Role.DAMPING), at_rest(*motion[:3])
-    for load in scene.loads:
-        if load.role is Role.STORED:  # zero to the last digit where motion makes no difference
-            lost = load.wrench(scene.rod, motion) - load.wrench(scene.rod, resting)
-            damping = lost if damping is None else damping + lost
-
+    acting = []
+    for one, its in zip(scene.interactions, found, strict=True):
+        exerted = one.exerted(scene.rod, motion, its)
+        acting.append(exerted)
+        book(by_role, one.role, exerted)
+        if one.role in (Role.STORED, Role.CONTACT):
+            column = Role.DAMPING if one.role is Role.STORED else Role.CONTACT
+            book(lost, column, one.lost(scene.rod, motion, its, exerted))
+        elif one.role is Role.DAMPING:
+            book(lost, Role.DAMPING, exerted)
     return _Acting(
-        unbalanced(scene, state, touching),
-        total(Role.DRIVEN),
-        total(Role.DRAG),
-        damping,
-        touching,
-        None if nearby is None else _contact_damping(scene, state, touching, nearby),
+        unbalanced(scene, state, tuple(acting)),
+        by_role.get(Role.DRIVEN),
+        by_role.get(Role.DRAG),
+        lost.get(Role.DAMPING),
+        by_role.get(Role.CONTACT),
+        lost.get(Role.CONTACT),
     )
-
-
-def _pushed(scene: Scene, position, velocity, nearby: Nearby) -> Float[Array, "nodes 6"]:
-    """`contact_wrench` for a list of pairs found before."""
-    assert scene.contact is not None
-    force = contact_forces.forces(scene.contact, scene.rod, *nearby, position, velocity)
-    return jnp.concatenate([force, jnp.zeros_like(force)], 1)
-
-
-def _contact_damping(scene: Scene, state: State, touching, nearby: Nearby):
-    """What contact exerts beyond its forces at rest; all of it where these have no potential."""
-    contact, where = scene.contact, nearby.where
-    assert contact is not None
-    resting = touching
-    if not ignores_approach(contact.law, PairProperties(where.diameter, where.mass)):
-        resting = _pushed(scene, state.position, jnp.zeros_like(state.velocity), nearby)
-    return touching - jnp.where(has_potential(contact), resting, 0.0)
-
-
-def _stored_in_contact(scene: Scene, state: State, nearby: Nearby | None) -> Float[Array, ""]:
-    """`contact_energy`, zero where there is no potential."""
-    if nearby is None:
-        return jnp.zeros((), state.position.dtype)
-    assert scene.contact is not None
-    energy = stored(scene.contact, *nearby, state.position)
-    return jnp.where(has_potential(scene.contact), energy, 0.0)
 
 
 def _increment(before: State, after: State) -> Float[Array, "nodes 6"]:
@@ -231,15 +200,15 @@ def ledger(scene: Scene, run: Run) -> Ledger:
     """
     states = run.states
 
-    def energies(state, nearby):
+    def energies(state, found):
         parts = bending_energy, torsion_energy, axial_energy, kinetic_energy, gravity_energy
         values = [part(scene, state) for part in parts]
-        return jnp.stack([*values, _stored_in_contact(scene, state, nearby)])
+        return jnp.stack([*values, stored(scene, state, Role.CONTACT, found)])
 
     def interval(carry, after):
         before, old = carry
-        nearby = _nearby(scene, after)
-        new = _acting(scene, after, nearby)
+        found = scene.find(after.position)
+        new = _acting(scene, after, found)
         moved = _increment(before, after)
         zero = jnp.zeros((), moved.dtype)
 
@@ -258,13 +227,13 @@ def ledger(scene: Scene, run: Run) -> Ledger:
                 -work(old.contact_damping, new.contact_damping),
             ]
         )
-        return (after, new), (gains, energies(after, nearby))
+        return (after, new), (gains, energies(after, found))
 
     # the first interval is from the first state to itself, so what acted before does not matter
     first = run.state(0)
     nothing = jax.tree.map(
         lambda leaf: jnp.zeros(leaf.shape, leaf.dtype),
-        jax.eval_shape(lambda: _acting(scene, first, _nearby(scene, first))),
+        jax.eval_shape(lambda: _acting(scene, first, scene.find(first.position))),
     )
     _, (gains, energy) = lax.scan(interval, (first, nothing), states)
     intervals = gains.shape[0] - 1

@@ -5,22 +5,17 @@ from typing import NamedTuple
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from rodjax.equations.imbalance import imbalance
-from rodjax.measuring.energies import contact_wrench, node_motion
+from rodjax.equations.imbalance import Acting, acting_on, imbalance
+from rodjax.measuring.energies import node_motion
 from rodjax.numerics import rotations
 from rodjax.rods.state import State
 from rodjax.scenes.holds import rows_at
 from rodjax.scenes.scene import Scene, projectors
 
 
-def unbalanced(
-    scene: Scene, state: State, from_contact: Float[Array, "nodes 6"] | None
-) -> Float[Array, "h 6"]:
+def unbalanced(scene: Scene, state: State, acting: Acting) -> Float[Array, "h 6"]:
     """Inertia + internal - external wrench of the nodes that are held: what must be supplied."""
-    motion, acceleration = node_motion(state), state.acceleration
-    wrench, _ = imbalance(scene, motion, state.force, acceleration=acceleration)
-    if from_contact is not None:
-        wrench = wrench - from_contact
+    wrench, _ = imbalance(scene, node_motion(state), state.force, acting, state.acceleration)
     return rows_at(wrench, scene.held_nodes)
 
 
@@ -48,8 +43,7 @@ def reactions(scene: Scene, state: State) -> Reactions:
         torque about an axis:    jax.lax.map(lambda s: reactions(scene, s).torque[0] @ axis, states)
         force along the axis:    jax.lax.map(lambda s: reactions(scene, s).force[1] @ axis, states)
     """
-    touching = None if scene.contact is None else contact_wrench(scene, state)
-    lacking = unbalanced(scene, state, touching)
+    lacking = unbalanced(scene, state, acting_on(scene, node_motion(state)))
     supplied = jnp.einsum("eij,ej->ei", projectors(scene, state.time), lacking)
     frames = rows_at(state.quaternion, scene.held_nodes)
     return Reactions(supplied[:, :3], rotations.rotate(frames, supplied[:, 3:]), supplied[:, 3:])

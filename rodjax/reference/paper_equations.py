@@ -9,7 +9,7 @@ from jax import lax
 from jaxtyping import Array, Float
 
 from rodjax.constraints import ends
-from rodjax.interactions.loads import total_wrench
+from rodjax.interactions.load import total_wrench
 from rodjax.numerics import rotations
 from rodjax.reference.paper_solvers import AbstractSolver, Linearized
 from rodjax.rods.rod import Rod

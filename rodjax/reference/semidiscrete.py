@@ -28,7 +28,7 @@ from jaxtyping import Array, Float
 
 from rodjax.constraints import ends
 from rodjax.dynamics.consistency import start
-from rodjax.interactions.loads import total_wrench
+from rodjax.interactions.load import total_wrench
 from rodjax.numerics import rotations
 from rodjax.rods import balance
 from rodjax.rods.inertia import node_inertia

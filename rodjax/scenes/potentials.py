@@ -9,10 +9,13 @@ import jax.core
 import jax.numpy as jnp
 import numpy as np
 
-from rodjax.interactions.loads import AbstractLoad
+from rodjax.interactions.load import AbstractLoad
+from rodjax.interactions.loads import Gravity
 from rodjax.interactions.roles import Role
 from rodjax.rods.rod import Rod
 from rodjax.rods.state import NodeMotion, at_rest, moved
+
+_WITH_ENERGY = Role.STORED, Role.CONTACT
 
 _MEND = "; give its potential energy in `energy(rod, motion)`, or another role"
 
@@ -26,7 +29,7 @@ def check_potential(load: AbstractLoad, rod: Rod, name: str) -> None:
     title = f"{name} ({type(load).__name__})"
     if not isinstance(load.role, Role):
         raise ValueError(f"{title}: its role must be a rodjax.Role, got {load.role!r}")
-    if load.role is not Role.STORED or type(load).__module__ == AbstractLoad.__module__:
+    if load.role not in _WITH_ENERGY or type(load).__module__ == Gravity.__module__:
         return
     if any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves((load, rod))):
         return

@@ -15,7 +15,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from rodjax.constraints.ends import AbstractEnd
-from rodjax.interactions.loads import AbstractLoad
+from rodjax.interactions.load import AbstractLoad
+from rodjax.interactions.loads import DistributedLoad
 from rodjax.numerics.results import STEP_FAILED
 from rodjax.rods.rod import Rod
 from rodjax.rods.state import NodeMotion
@@ -42,7 +43,7 @@ def check_local(load: AbstractLoad, rod: Rod, name: str) -> None:
     Rows that are not finite tell nothing, nor does a function that cannot be traced.
     """
     function = getattr(load, "function", None)
-    if type(load).__module__ == AbstractLoad.__module__ and function is None:
+    if type(load).__module__ == DistributedLoad.__module__ and function is None:
         return
     kind = _kind(load)
     if kind in _PASSED:

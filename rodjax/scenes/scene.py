@@ -1,6 +1,7 @@
 """A scene: one rod, what holds it, what loads it, and whether it touches itself."""
 
 import dataclasses
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -14,11 +15,15 @@ from rodjax.constraints.supports import Support
 from rodjax.inputs.brief import brief
 from rodjax.inputs.validation import as_traced, check_instance, known
 from rodjax.interactions.contact import Contact
-from rodjax.interactions.loads import AbstractLoad
+from rodjax.interactions.interaction import AbstractInteraction
+from rodjax.interactions.load import AbstractLoad
+from rodjax.interactions.self_contact import SelfContact
 from rodjax.rods.rod import Rod
 from rodjax.scenes import probing
 from rodjax.scenes.holds import Held, Node
 from rodjax.scenes.potentials import check_potential
+
+Found = tuple[Any, ...]  # by each of a scene's interactions
 
 
 def _with_arrays(part):
@@ -52,8 +57,9 @@ class Scene(eqx.Module):
 
     def __check_init__(self):
         self._check_kinds()
+        for one in self.interactions:
+            one.check(self.rod)
         for load in self.loads:
-            load.check(self.rod)
             if load.inertia and self.rod.mass is None:
                 raise ValueError("loads: added mass on a rod with mass=None, which has no inertia")
         for i, load in enumerate(self.loads):
@@ -62,8 +68,6 @@ class Scene(eqx.Module):
         for held in self.holds:
             probing.check_end(held.end, held.name)
         self._check_supports()
-        if self.contact is not None:
-            self.contact.check(self.rod)
         if self.rod.mass is None:
             self._check_inertialess()
 
@@ -142,6 +146,25 @@ class Scene(eqx.Module):
     def held_nodes(self) -> tuple[Node, ...]:
         """Their nodes."""
         return tuple(held.node for held in self.holds)
+
+    @property
+    def self_contact(self) -> SelfContact | None:
+        """Contact of the rod with itself, as one of what acts on it."""
+        return None if self.contact is None else SelfContact(self.contact)
+
+    @property
+    def interactions(self) -> tuple[AbstractInteraction, ...]:
+        """What acts on the rod: its loads, then contact with itself if there is any."""
+        own = self.self_contact
+        return self.loads if own is None else (*self.loads, own)
+
+    def find(
+        self, position: Float[Array, "nodes 3"], displacement: Float[Array, "nodes 3"] | None = None
+    ) -> Found:
+        """What each of them finds near the nodes, before a motion of the expected displacement."""
+        closed = False if self.contact is None else self.closed
+        given = self.rod, position, displacement, closed
+        return tuple(one.find(*given) for one in self.interactions)
 
     @property
     def closed(self) -> bool | Bool[Array, ""]:

@@ -1,0 +1,82 @@
+"""What acts on the nodes of a rod besides the rod itself: a load, or contact of its strands."""
+
+import abc
+from typing import Any
+
+import equinox as eqx
+from jaxtyping import Array, Bool, Float, Int
+
+from rodjax.inputs.schedules import AbstractSchedule
+from rodjax.interactions.roles import Role
+from rodjax.rods.rod import Rod
+from rodjax.rods.state import NodeMotion, at_rest
+
+Positions = Float[Array, "nodes 3"]
+Wrenches = Float[Array, "nodes 6"]
+
+
+class AbstractInteraction(eqx.Module):
+    """One of what acts on a rod; a scene has a list of them.
+
+    It says how its work is booked and how much of a motion it can bear. What it finds near the rod
+    is looked for once a step and held while Newton's method iterates.
+    """
+
+    @abc.abstractmethod
+    def exerted(self, rod: Rod, motion: NodeMotion, found: Any) -> Wrenches:
+        """Force (inertial) [N] and moment (body) [N m] on each node."""
+
+    @property
+    def role(self) -> Role:
+        """How its work is booked: as put in, unless it says that it is stored or lost."""
+        return Role.DRIVEN
+
+    @property
+    def conservative(self) -> bool | Bool[Array, ""]:
+        """Whether what it exerts on a rod at rest has a potential, where its role is to store."""
+        return True
+
+    def stored(self, rod: Rod, motion: NodeMotion, found: Any) -> Float[Array, ""]:
+        """Potential energy [J], zero where there is no potential."""
+        raise ValueError(f"{type(self).__name__}: it stores no energy")
+
+    def lost(self, rod: Rod, motion: NodeMotion, found: Any, exerted: Wrenches) -> Wrenches:
+        """The part of what it exerts that is no slope of `stored`: here what motion adds."""
+        # zero to the last digit where motion makes no difference
+        return exerted - self.exerted(rod, at_rest(*motion[:3]), found)
+
+    def find(
+        self,
+        rod: Rod,
+        position: Positions,
+        displacement: Positions | None = None,
+        closed: bool | Bool[Array, ""] = False,
+    ) -> Any:
+        """What is near the nodes, before a motion of the expected displacement if one is given.
+
+        `closed` says whether the rod's ends are at one place, see `Scene.closed`.
+        """
+        return None
+
+    def safe_fraction(
+        self, rod: Rod, position: Positions, change: Positions, found: Any
+    ) -> Float[Array, ""] | None:
+        """How much of a change of the nodes' positions may be taken at once, in (0, 1].
+
+        None for any change. No derivative is asked of it.
+        """
+        return None
+
+    def verdict(
+        self, rod: Rod, before: Positions, after: Positions, found: Any
+    ) -> Int[Array, ""] | None:
+        """The `Result` that a step between these positions has for it; None for success."""
+        return None
+
+    def check(self, rod: Rod) -> None:
+        """Raise ValueError where the rod lacks what it needs."""
+
+    @property
+    def schedules(self) -> dict[str, AbstractSchedule]:
+        """What it prescribes over time, by argument."""
+        return {}

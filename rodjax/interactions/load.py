@@ -1,0 +1,74 @@
+"""Loads: what acts on every node by that node's own motion alone.
+
+So the tangent of a load is one 6x6 block a node. A scene holds a tuple of loads; they are summed.
+"""
+
+import abc
+import functools
+import operator
+
+from jaxtyping import Array, Float
+
+from rodjax.interactions.interaction import AbstractInteraction
+from rodjax.rods.rod import Rod
+from rodjax.rods.state import NodeMotion
+
+
+class AbstractLoad(AbstractInteraction):
+    """A load on the nodes. Your own is a subclass: `wrench`, and what else it has of the rest.
+
+    What a rod runs into (a wall, a bed that gets stiff) says by `safe_fraction` how near one
+    iteration of Newton's method may come to it, and has the role CONTACT.
+    """
+
+    @abc.abstractmethod
+    def wrench(self, rod: Rod, motion: NodeMotion) -> Float[Array, "nodes 6"]:
+        """Force (inertial) [N] and moment (body) [N m] on each node, from its own motion only."""
+
+    def energy(self, rod: Rod, motion: NodeMotion) -> Float[Array, ""]:
+        """Potential energy of a load whose role is STORED or CONTACT [J].
+
+        Its slope is minus the wrench on a rod at rest: for displacements (inertial) of the force,
+        for body spins of the moment.
+        """
+        raise ValueError(
+            f"{type(self).__name__}: a load whose role is {self.role.name} needs"
+            " energy(rod, motion)"
+        )
+
+    def exerted(self, rod, motion, found):
+        """`wrench`; a load finds nothing."""
+        return self.wrench(rod, motion)
+
+    def stored(self, rod, motion, found):
+        """`energy`."""
+        return self.energy(rod, motion)
+
+    @property
+    def may_hold(self) -> bool:
+        """Whether it might hold a rod that ends leave free, for all that a look at it tells."""
+        return False
+
+    @property
+    def resistance(self) -> tuple[Array, Array, Array] | None:
+        """Force per length and velocity, normal and tangential [N s/m^2], and moment per length and
+        spin about the tangent [N s]: what a rod without inertia rests on. None for a load that
+        gives it none.
+        """
+        return None
+
+    @property
+    def inertia(self) -> bool:
+        """Whether the load adds mass to the nodes."""
+        return False
+
+    def added_mass(self, rod: Rod, motion: NodeMotion) -> Float[Array, "nodes 3 3"] | None:
+        """Mass matrix of the nodes that the load adds (inertial axes), or None."""
+        return None
+
+
+def total_wrench(
+    loads: tuple[AbstractLoad, ...], rod: Rod, motion: NodeMotion
+) -> Float[Array, "nodes 6"]:
+    """Sum of the loads on the nodes; there must be at least one."""
+    return functools.reduce(operator.add, (load.wrench(rod, motion) for load in loads))

@@ -1,0 +1,77 @@
+"""Contact of a rod with itself as one of what acts on it."""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+from jax.ad_checkpoint import checkpoint_name
+from jaxtyping import Array, Float
+
+from rodjax.interactions import contact_energy, contact_forces, screening
+from rodjax.interactions.contact import Contact, Sites, sites
+from rodjax.interactions.contact_laws import PairProperties, ignores_approach
+from rodjax.interactions.interaction import AbstractInteraction
+from rodjax.interactions.roles import Role
+from rodjax.interactions.screening import Near
+from rodjax.numerics import newton
+from rodjax.numerics.results import Result, join
+
+
+class Nearby(NamedTuple):
+    """Where the rod can touch itself, and the pairs found near each other."""
+
+    where: Sites
+    near: Near
+
+
+class SelfContact(AbstractInteraction):
+    """Contact of the strands of a rod with each other."""
+
+    contact: Contact
+
+    @property
+    def role(self):
+        return Role.CONTACT
+
+    @property
+    def conservative(self):
+        return contact_energy.has_potential(self.contact)
+
+    def check(self, rod):
+        self.contact.check(rod)
+
+    def find(self, rod, position, displacement=None, closed=False) -> Nearby:
+        where = sites(self.contact, rod, closed)
+        near = screening.search(self.contact, where, position, displacement)
+        # a reverse pass need not search again
+        return Nearby(where, checkpoint_name(near, newton.SOLUTION))
+
+    def exerted(self, rod, motion, found: Nearby):
+        at = motion.position, motion.velocity
+        return on_nodes(contact_forces.forces(self.contact, rod, *found, *at))
+
+    def stored(self, rod, motion, found: Nearby) -> Float[Array, ""]:
+        energy = contact_energy.stored(self.contact, *found, motion.position)
+        return jnp.where(self.conservative, energy, 0.0)
+
+    def lost(self, rod, motion, found: Nearby, exerted):
+        resting = exerted
+        pair = PairProperties(found.where.diameter, found.where.mass)
+        if not ignores_approach(self.contact.law, pair):
+            still = motion._replace(velocity=jnp.zeros_like(motion.velocity))
+            resting = self.exerted(rod, still, found)
+        return exerted - jnp.where(self.conservative, resting, 0.0)
+
+    def safe_fraction(self, rod, position, change, found: Nearby):
+        return screening.approach_limit(self.contact, *found, position, change)
+
+    def verdict(self, rod, before, after, found: Nearby):
+        passed = screening.passage_suspected(*found, before, after)
+        return join(
+            jnp.where(passed, Result.STRAND_PASSAGE, Result.SUCCESS),
+            jnp.where(found.near.overflow, Result.CAPACITY_OVERFLOW, Result.SUCCESS),
+        )
+
+
+def on_nodes(force: Float[Array, "nodes 3"]) -> Float[Array, "nodes 6"]:
+    """Wrenches of forces alone."""
+    return jnp.concatenate([force, jnp.zeros_like(force)], 1)
