@@ -14,7 +14,9 @@ from rodjax.inputs.schedules import PiecewiseLinear
 from rodjax.interactions.contact import Contact
 from rodjax.interactions.contact_laws import DampedInversePower
 from rodjax.interactions.loads import MorisonDrag
-from rodjax.rods.rod import Rod, circular_section, straight_rod
+from rodjax.rods.builders import straight_rod
+from rodjax.rods.rod import Rod
+from rodjax.rods.section import circular_section
 from rodjax.scenes.scene import Scene
 
 LOADING_AXIS = (0.0, 1.0, 0.0)  # e2; the rod lies along it, its right end s = 0 at the origin

@@ -20,7 +20,8 @@ from peer_problems import POINTS
 from rodjax.constraints.ends import Clamped, Free
 from rodjax.inputs.schedules import Constant
 from rodjax.interactions.loads import PointLoad
-from rodjax.rods.rod import Section, curved_rod
+from rodjax.rods.builders import curved_rod
+from rodjax.rods.section import Section
 from rodjax.scenes.scene import Scene
 
 

@@ -11,7 +11,8 @@ from example import PRESETS, contact_law, scene
 
 from rodjax.constraints.ends import Clamped
 from rodjax.interactions.loads import MorisonDrag
-from rodjax.rods.rod import circular_section, curved_rod, straight_rod
+from rodjax.rods.builders import curved_rod, straight_rod
+from rodjax.rods.section import circular_section
 from rodjax.scenes.scene import Scene
 
 

@@ -83,13 +83,13 @@ from rodjax.numerics.results import Interrupted as Interrupted
 from rodjax.numerics.results import ModelWarning as ModelWarning
 from rodjax.numerics.results import Result as Result
 from rodjax.numerics.results import SimulationError as SimulationError
+from rodjax.rods.builders import curved_rod as curved_rod
+from rodjax.rods.builders import straight_rod as straight_rod
 from rodjax.rods.imperfection import imperfect as imperfect
 from rodjax.rods.regridding import regrid as regrid
 from rodjax.rods.rod import Rod as Rod
-from rodjax.rods.rod import Section as Section
-from rodjax.rods.rod import circular_section as circular_section
-from rodjax.rods.rod import curved_rod as curved_rod
-from rodjax.rods.rod import straight_rod as straight_rod
+from rodjax.rods.section import Section as Section
+from rodjax.rods.section import circular_section as circular_section
 from rodjax.rods.state import State as State
 from rodjax.scenes.placing import placing as placing
 from rodjax.scenes.scene import Scene as Scene

@@ -20,7 +20,9 @@ from rodjax.inputs.schedules import Smooth
 from rodjax.interactions import contact_laws as laws
 from rodjax.interactions.contact import Contact
 from rodjax.interactions.loads import MorisonDrag
-from rodjax.rods.rod import Rod, Section, circular_section, curved_rod, straight_rod
+from rodjax.rods.builders import curved_rod, straight_rod
+from rodjax.rods.rod import Rod
+from rodjax.rods.section import Section, circular_section
 from rodjax.rods.state import State
 from rodjax.rods.strains import strains
 from rodjax.scenes.placing import placing

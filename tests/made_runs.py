@@ -13,7 +13,7 @@ from rodjax.dynamics.run import Run
 from rodjax.dynamics.stepping import StepInfo, prepare, step
 from rodjax.inputs.schedules import Constant
 from rodjax.interactions.loads import Gravity, PointLoad
-from rodjax.rods import rod
+from rodjax.rods import builders
 from rodjax.rods.state import State
 from rodjax.scenes.scene import Scene
 
@@ -42,7 +42,7 @@ def state_of(a_rod, position=None, quaternion=None, force=None):
 def hanging(direction, end_force):
     """A heavy rod pinned at s = 0, its weight 1 x 9 along e3, with a dead load on its end."""
     loads = (Gravity((0.0, 0.0, 9.0)), PointLoad(-1, force=Constant(end_force)))
-    a_rod = rod.straight_rod(1.0, 4, UNIT_SECTION, direction=direction)
+    a_rod = builders.straight_rod(1.0, 4, UNIT_SECTION, direction=direction)
     return Scene(a_rod, Pinned(), Free(), loads)
 
 

@@ -11,7 +11,7 @@ from rodjax.equations.anchored import AnchoredSystem
 from rodjax.equations.assembly import Scales, assemble
 from rodjax.equations.coupled import CoupledSystem
 from rodjax.rods.balance import element_tangent
-from rodjax.rods.rod import straight_rod
+from rodjax.rods.builders import straight_rod
 
 ELEMENTS = 10
 ENDS = {

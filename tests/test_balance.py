@@ -11,7 +11,8 @@ from hypothesis import strategies as st
 from rodjax import rotations
 from rodjax.equations.assembly import Scales, assemble
 from rodjax.rods import balance
-from rodjax.rods.rod import Section, straight_rod
+from rodjax.rods.builders import straight_rod
+from rodjax.rods.section import Section
 from rodjax.rods.strains import curvature, element_quaternions, strains
 
 ELEMENTS = 5

@@ -27,7 +27,7 @@ from rodjax.interactions.loads import Gravity, LinearDrag, PointLoad
 from rodjax.measuring.numerical_damping import amplification, estimate
 from rodjax.measuring.run_check import Finding, Findings, _contact, _moved, _result, _stable, check
 from rodjax.numerics.results import ModelWarning, Result, as_code
-from rodjax.rods.rod import curved_rod, straight_rod
+from rodjax.rods.builders import curved_rod, straight_rod
 from rodjax.scenes.corners import corners_inside, warn_of_corners
 from rodjax.scenes.placing import placing
 from rodjax.scenes.scene import Scene

@@ -19,7 +19,8 @@ from rodjax.interactions import contact_forces as forces_of
 from rodjax.interactions import contact_laws as laws
 from rodjax.interactions.contact import Contact
 from rodjax.interactions.loads import MorisonDrag
-from rodjax.rods.rod import circular_section, straight_rod
+from rodjax.rods.builders import straight_rod
+from rodjax.rods.section import circular_section
 from rodjax.scenes.scene import Scene
 
 # Forces

@@ -12,7 +12,7 @@ from rodjax.constraints.ends import Clamped
 from rodjax.equations import coupling
 from rodjax.interactions import contact, contact_energy, contact_forces, contact_laws, screening
 from rodjax.interactions.loads import LinearDrag
-from rodjax.rods import rod
+from rodjax.rods import builders
 from rodjax.scenes.scene import Scene
 
 
@@ -35,7 +35,7 @@ def hairpin():
     )
     law = contact_laws.InversePower(1e-2, 2.0)
     touching = contact.Contact(law, 24, 0.15, exclusion=0.3, capacities=(25,))
-    a_rod = rod.curved_rod(curve, length, 24, section)
+    a_rod = builders.curved_rod(curve, length, 24, section)
     return Scene(a_rod, Clamped(), Clamped(), (LinearDrag(20.0, 20.0, 0.1),), touching)
 
 

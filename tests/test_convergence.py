@@ -17,7 +17,8 @@ from rodjax.dynamics.stepping import step
 from rodjax.equations.generalized_alpha import GeneralizedAlpha
 from rodjax.inputs.schedules import Function
 from rodjax.interactions.loads import Gravity, LinearDrag, MorisonDrag
-from rodjax.rods.rod import Section, straight_rod
+from rodjax.rods.builders import straight_rod
+from rodjax.rods.section import Section
 from rodjax.scenes.scene import Scene
 
 FIELDS = ("position", "quaternion", "rate", "force")

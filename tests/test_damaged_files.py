@@ -21,7 +21,8 @@ from rodjax.interactions.contact import Contact
 from rodjax.interactions.contact_laws import Barrier
 from rodjax.interactions.loads import Gravity, LinearDrag
 from rodjax.numerics.results import ModelWarning
-from rodjax.rods.rod import Section, straight_rod
+from rodjax.rods.builders import straight_rod
+from rodjax.rods.section import Section
 from rodjax.scenes.scene import Scene
 
 SECTION = Section((1.0, 1.0, 0.8), mass=1.0, rotary_inertia=(1e-3, 1e-3, 2e-3), diameter=0.02)

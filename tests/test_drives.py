@@ -20,7 +20,7 @@ from rodjax.interactions.contact import Contact
 from rodjax.interactions.contact_laws import Barrier
 from rodjax.interactions.loads import LinearDrag
 from rodjax.numerics.results import Result, SimulationError
-from rodjax.rods.rod import straight_rod
+from rodjax.rods.builders import straight_rod
 from rodjax.scenes.scene import Scene
 
 # many turns in a straight rod are what these tests are about

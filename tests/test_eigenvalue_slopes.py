@@ -14,7 +14,8 @@ from rodjax.inputs.schedules import Constant
 from rodjax.interactions.loads import PointLoad
 from rodjax.numerics.compilation import jit
 from rodjax.numerics.eigenvalues import lowest
-from rodjax.rods.rod import Section, curved_rod, straight_rod
+from rodjax.rods.builders import curved_rod, straight_rod
+from rodjax.rods.section import Section
 from rodjax.scenes.placing import placing
 from rodjax.scenes.scene import Scene
 

@@ -16,7 +16,8 @@ from rodjax.equilibria.load_path import equilibrium
 from rodjax.inputs.schedules import Constant, PiecewiseLinear
 from rodjax.interactions.loads import Gravity, PointLoad
 from rodjax.numerics.results import Result, SimulationError
-from rodjax.rods.rod import Section, curved_rod, straight_rod
+from rodjax.rods.builders import curved_rod, straight_rod
+from rodjax.rods.section import Section
 from rodjax.rods.strains import curvature, strains
 from rodjax.scenes.placing import placing
 from rodjax.scenes.scene import Scene

@@ -12,7 +12,8 @@ from rodjax.equilibria.load_path import equilibrium
 from rodjax.inputs.schedules import Constant, Function
 from rodjax.interactions.loads import PointLoad
 from rodjax.measuring.extrapolation import extrapolate
-from rodjax.rods.rod import Section, straight_rod
+from rodjax.rods.builders import straight_rod
+from rodjax.rods.section import Section
 from rodjax.scenes.placing import placing
 from rodjax.scenes.scene import Scene
 

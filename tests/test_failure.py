@@ -20,7 +20,7 @@ from rodjax.interactions.load import AbstractLoad
 from rodjax.interactions.loads import LinearDrag
 from rodjax.numerics.failure import not_a_number
 from rodjax.numerics.results import Result, SimulationError
-from rodjax.rods.rod import straight_rod
+from rodjax.rods.builders import straight_rod
 from rodjax.scenes.scene import Scene
 
 TIMES = jnp.linspace(0.0, 0.1, 11)[1:]

@@ -18,7 +18,8 @@ from rodjax.fitting.observations import Observations, positions_at
 from rodjax.fitting.priors import LogNormalPrior, NormalPrior
 from rodjax.fitting.robust import Huber
 from rodjax.interactions.loads import LinearDrag
-from rodjax.rods.rod import Section, straight_rod
+from rodjax.rods.builders import straight_rod
+from rodjax.rods.section import Section
 from rodjax.scenes.scene import Scene
 
 

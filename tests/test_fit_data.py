@@ -17,7 +17,7 @@ from rodjax.fitting.fit_results import FitError, FitResult
 from rodjax.fitting.observations import Observations, positions_at
 from rodjax.fitting.priors import NormalPrior
 from rodjax.numerics.results import ModelWarning
-from rodjax.rods.rod import straight_rod
+from rodjax.rods.builders import straight_rod
 from rodjax.rods.state import State
 
 # Missing samples

@@ -19,7 +19,8 @@ from rodjax.equilibria.linear_stability import stability
 from rodjax.equilibria.small_vibration import vibration
 from rodjax.inputs.schedules import Constant
 from rodjax.interactions.loads import DistributedLoad, LinearDrag, MorisonDrag, PointLoad
-from rodjax.rods.rod import Section, straight_rod
+from rodjax.rods.builders import straight_rod
+from rodjax.rods.section import Section
 from rodjax.scenes.placing import placing
 from rodjax.scenes.scene import Scene
 

@@ -10,8 +10,9 @@ from rodjax import rotations
 from rodjax.constraints.ends import Clamped, Free
 from rodjax.dynamics.consistency import start
 from rodjax.equations.generalized_alpha import GeneralizedAlpha
+from rodjax.rods.builders import curved_rod, straight_rod
 from rodjax.rods.inertia import node_inertia
-from rodjax.rods.rod import circular_section, curved_rod, straight_rod
+from rodjax.rods.section import circular_section
 from rodjax.scenes.scene import Scene
 
 # Free flight

@@ -11,7 +11,8 @@ from rodjax.dynamics.consistency import start
 from rodjax.dynamics.fixed_rollout import rollout
 from rodjax.inputs.schedules import Constant, Smooth
 from rodjax.interactions.loads import DistributedLoad, Gravity, LinearDrag, MorisonDrag, PointLoad
-from rodjax.rods.rod import circular_section, straight_rod
+from rodjax.rods.builders import straight_rod
+from rodjax.rods.section import circular_section
 from rodjax.scenes.scene import Scene
 
 

@@ -13,7 +13,8 @@ from rodjax.inputs.schedules import Constant
 from rodjax.interactions.loads import Gravity, MorisonDrag, PointLoad
 from rodjax.measuring.energy import reactions
 from rodjax.numerics.results import ModelWarning, Result
-from rodjax.rods.rod import Section, circular_section, curved_rod, straight_rod
+from rodjax.rods.builders import curved_rod, straight_rod
+from rodjax.rods.section import Section, circular_section
 from rodjax.scenes.placing import placing
 from rodjax.scenes.scene import Scene
 

@@ -13,8 +13,9 @@ from rodjax.equilibria.load_path import equilibrium
 from rodjax.inputs.schedules import PiecewiseLinear
 from rodjax.interactions.loads import PointLoad
 from rodjax.numerics.results import ModelWarning
+from rodjax.rods.builders import straight_rod
 from rodjax.rods.imperfection import imperfect
-from rodjax.rods.rod import Section, straight_rod
+from rodjax.rods.section import Section
 from rodjax.scenes.placing import placing
 from rodjax.scenes.scene import Scene
 

@@ -19,7 +19,7 @@ from rodjax.interactions.loads import LinearDrag, PointLoad
 from rodjax.numerics import pace
 from rodjax.numerics.pace import Pace
 from rodjax.numerics.results import Interrupted, Result
-from rodjax.rods.rod import straight_rod
+from rodjax.rods.builders import straight_rod
 from rodjax.scenes.scene import Scene
 
 TRACED = []

@@ -12,7 +12,7 @@ from rodjax import energy
 from rodjax.constraints.ends import Clamped, Free, Slider, Switched, Turn
 from rodjax.inputs.schedules import Function, Smooth
 from rodjax.interactions.loads import DistributedLoad, Gravity, LinearDrag, MorisonDrag, PointLoad
-from rodjax.rods import rod
+from rodjax.rods import builders
 from rodjax.scenes.scene import Scene
 
 
@@ -37,7 +37,7 @@ def everything():
         DistributedLoad(spread, jnp.asarray(0.5)),
     )
     shift = Smooth([0.0, 1.0, 9.0], [[0.0] * 3, [0.1, 0.0, 0.1], [0.1, 0.0, 0.1]])
-    a_rod = rod.straight_rod(1.0, 3, section)
+    a_rod = builders.straight_rod(1.0, 3, section)
     return Scene(a_rod, Clamped(shift, smooth_twist(0.3)), Free(), loads)
 
 
@@ -76,7 +76,7 @@ def test_ledger_columns_converge_at_second_order(refined, name):
 @pytest.fixture(scope="module")
 def slow_twist():
     """A damped rod twisted smoothly and left alone until it rests: scene, run."""
-    a_rod = rod.straight_rod(1.0, ELEMENTS, UNIT_SECTION)
+    a_rod = builders.straight_rod(1.0, ELEMENTS, UNIT_SECTION)
     drive = Clamped(rotation=smooth_twist(0.4, 2.0))
     scene = Scene(a_rod, drive, Slider((0, 0, 1)), (LinearDrag(0.1, 0.1, 0.05),))
     return scene, run_over(scene, state_of(a_rod), 4.0, 200)
@@ -137,7 +137,7 @@ def test_projection_loss_is_booked_once():
 
     States saved every fourth step give the same losses as all of them.
     """
-    a_rod = rod.straight_rod(1.0, 4, UNIT_SECTION)
+    a_rod = builders.straight_rod(1.0, 4, UNIT_SECTION)
     catch = Switched(Slider((1.0, 0.0, 0.0)), Clamped(), 0.1)
     scene = Scene(a_rod, Free(), catch, (LinearDrag(0.1, 0.1, 0.1),))
     state = start(scene, velocity=jnp.zeros((5, 3)).at[:, 0].set(0.2))

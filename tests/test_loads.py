@@ -21,8 +21,9 @@ from rodjax.interactions.loads import (
     PointLoad,
     total_wrench,
 )
+from rodjax.rods.builders import straight_rod
 from rodjax.rods.inertia import inertial_wrench, kinetic_energy, node_inertia, node_jacobian
-from rodjax.rods.rod import Section, straight_rod
+from rodjax.rods.section import Section
 from rodjax.scenes.scene import Scene
 
 ELEMENTS = 4

@@ -13,7 +13,8 @@ from rodjax.dynamics.run import Run
 from rodjax.dynamics.stepping import StepInfo
 from rodjax.inputs.schedules import PiecewiseLinear
 from rodjax.interactions.loads import LinearDrag
-from rodjax.rods import rod
+from rodjax.rods import builders
+from rodjax.rods.section import Section
 from rodjax.rods.state import State
 from rodjax.scenes.scene import Scene
 
@@ -36,7 +37,7 @@ def state_of(a_rod, position=None, quaternion=None, time=0.0):
 
 
 def straight(elements=16, section=UNIT_SECTION):
-    return rod.straight_rod(LENGTH, elements, section)
+    return builders.straight_rod(LENGTH, elements, section)
 
 
 def twisted(a_rod, turns, time=0.0):
@@ -53,7 +54,7 @@ def helix(elements, turns=2.0, radius=0.1):
     curve = lambda s: np.array(
         [radius * (np.cos(rate * s) - 1), radius * np.sin(rate * s), climb * s]
     )
-    return rod.curved_rod(curve, LENGTH, elements, UNIT_SECTION)
+    return builders.curved_rod(curve, LENGTH, elements, UNIT_SECTION)
 
 
 def scene_of(a_rod, turns, *, second=0.0):
@@ -135,7 +136,7 @@ def test_linking_along_a_run():
 
 def test_stretch_error_counts_what_compliance_does_not_explain():
     """0.02 too long without compliance; explained by the force with it."""
-    plain, elastic = straight(), straight(16, rod.Section((1.0, 1.0, 1.0), 1.0, None, (0, 0, 0.01)))
+    plain, elastic = straight(), straight(16, Section((1.0, 1.0, 1.0), 1.0, None, (0, 0, 0.01)))
     longer = plain.position * 1.02
     assert measures.stretch_error(plain, state_of(plain)) < 1e-14
     assert measures.stretch_error(plain, state_of(plain, longer)) == pytest.approx(0.02)
@@ -266,7 +267,7 @@ def test_time_of_maximum():
 @pytest.mark.slow
 def test_times_of_buckling_and_of_the_orthogonal_apex():
     """Torsional energy (t - 1.3)^2 below its peak; apex angle 0.6 t."""
-    a_rod = straight(elements=8, section=rod.Section((1.0, 1.0, 1.0)))
+    a_rod = straight(elements=8, section=Section((1.0, 1.0, 1.0)))
     scene = Scene(a_rod, loads=(LinearDrag(1.0, 1.0, 1.0),))
     times = (0.0, 0.5, 1.1, 1.6, 2.0)
     run = run_of([twisted(a_rod, np.sqrt(5 - (t - 1.3) ** 2), t) for t in times])

@@ -10,7 +10,7 @@ from helpers import UNIT_SECTION, order_of, random_arrays
 from rodjax.dynamics.run import Run
 from rodjax.dynamics.stepping import StepInfo
 from rodjax.fitting.observations import Observations, positions_at
-from rodjax.rods.rod import straight_rod
+from rodjax.rods.builders import straight_rod
 from rodjax.rods.state import State
 
 ROD = straight_rod(1.0, 4, UNIT_SECTION)

@@ -22,7 +22,8 @@ from rodjax.measuring.measures import linking, stretch_error
 from rodjax.numerics.results import Result, SimulationError
 from rodjax.reference.paper_scheme import PaperScheme, fields_of, paper_rollout, paper_step
 from rodjax.reference.paper_solvers import BlockSolve, Shooting
-from rodjax.rods.rod import Section, circular_section, straight_rod
+from rodjax.rods.builders import straight_rod
+from rodjax.rods.section import Section, circular_section
 from rodjax.scenes.scene import Scene
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "experiments"))

@@ -17,7 +17,8 @@ from rodjax.inputs.schedules import PiecewiseLinear
 from rodjax.interactions.contact import Contact
 from rodjax.interactions.contact_laws import DampedInversePower
 from rodjax.numerics.results import ModelWarning, Result, SimulationError
-from rodjax.rods.rod import circular_section, curved_rod, straight_rod
+from rodjax.rods.builders import curved_rod, straight_rod
+from rodjax.rods.section import circular_section
 from rodjax.scenes.placing import placing
 from rodjax.scenes.scene import Scene
 

@@ -15,7 +15,7 @@ from rodjax import rotations
 from rodjax.constraints.ends import AbstractEnd, Clamped
 from rodjax.interactions.load import AbstractLoad
 from rodjax.interactions.loads import DistributedLoad, Gravity
-from rodjax.rods.rod import straight_rod
+from rodjax.rods.builders import straight_rod
 from rodjax.scenes import probing
 from rodjax.scenes.scene import Scene
 

@@ -12,8 +12,9 @@ from rodjax import rotations
 from rodjax.constraints.ends import Clamped
 from rodjax.dynamics.consistency import start
 from rodjax.interactions.loads import Gravity
+from rodjax.rods.builders import curved_rod, straight_rod
 from rodjax.rods.regridding import regrid
-from rodjax.rods.rod import Section, curved_rod, straight_rod
+from rodjax.rods.section import Section
 from rodjax.rods.state import State
 from rodjax.rods.strains import curvature, relative_rotation, strains
 from rodjax.scenes.scene import Scene

@@ -13,7 +13,8 @@ from rodjax.dynamics.fixed_rollout import rollout
 from rodjax.equations.generalized_alpha import GeneralizedAlpha
 from rodjax.interactions.loads import Gravity, LinearDrag
 from rodjax.numerics.results import Result, SimulationError
-from rodjax.rods.rod import circular_section, straight_rod
+from rodjax.rods.builders import straight_rod
+from rodjax.rods.section import circular_section
 from rodjax.scenes.scene import Scene
 
 

@@ -28,7 +28,8 @@ from rodjax.interactions.loads import (
     MorisonDrag,
     PointLoad,
 )
-from rodjax.rods.rod import circular_section, straight_rod
+from rodjax.rods.builders import straight_rod
+from rodjax.rods.section import circular_section
 from rodjax.scenes.scene import Scene
 
 

@@ -12,7 +12,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from rodjax import rotations
-from rodjax.rods.rod import Rod, Section, circular_section, curved_rod, grid, sample, straight_rod
+from rodjax.rods.builders import curved_rod, straight_rod
+from rodjax.rods.framing import grid
+from rodjax.rods.rod import Rod
+from rodjax.rods.section import Section, circular_section, sample
 from rodjax.rods.strains import curvature, strains
 
 few = settings(max_examples=40, deadline=None)

@@ -15,8 +15,8 @@ from rodjax.dynamics.step_control import StepControl
 from rodjax.inputs.schedules import Function, Smooth
 from rodjax.interactions.loads import LinearDrag, MorisonDrag, PointLoad
 from rodjax.numerics.results import Result, SimulationError
+from rodjax.rods.builders import curved_rod, straight_rod
 from rodjax.rods.inertia import node_inertia
-from rodjax.rods.rod import curved_rod, straight_rod
 from rodjax.scenes.scene import Scene
 
 # Constraints that change

@@ -10,7 +10,8 @@ from rodjax.dynamics.adaptive import adaptive_rollout
 from rodjax.dynamics.consistency import start
 from rodjax.interactions.loads import LinearDrag
 from rodjax.numerics.results import Result
-from rodjax.rods.rod import Section, straight_rod
+from rodjax.rods.builders import straight_rod
+from rodjax.rods.section import Section
 from rodjax.rods.strains import element_quaternions
 from rodjax.scenes.scene import Scene
 

@@ -19,7 +19,7 @@ from rodjax.dynamics.consistency import start
 from rodjax.dynamics.stepping import switching
 from rodjax.inputs.schedules import Constant, Function, PiecewiseLinear, PiecewiseLinearRate, Smooth
 from rodjax.interactions.loads import PointLoad
-from rodjax.rods.rod import straight_rod
+from rodjax.rods.builders import straight_rod
 from rodjax.scenes.placing import placing
 from rodjax.scenes.scene import Scene, projectors
 

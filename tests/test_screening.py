@@ -10,7 +10,8 @@ from rodjax.interactions import contact as contact_of
 from rodjax.interactions import contact_forces as forces_of
 from rodjax.interactions import screening
 from rodjax.interactions.contact import Contact
-from rodjax.rods.rod import circular_section, straight_rod
+from rodjax.rods.builders import straight_rod
+from rodjax.rods.section import circular_section
 from rodjax.scenes.scene import Scene
 
 

@@ -16,7 +16,8 @@ from rodjax.equations.generalized_alpha import GeneralizedAlpha
 from rodjax.inputs.schedules import Function
 from rodjax.interactions.loads import Gravity, MorisonDrag
 from rodjax.numerics.rotations import exponential, logarithm
-from rodjax.rods.rod import Section, circular_section, straight_rod
+from rodjax.rods.builders import straight_rod
+from rodjax.rods.section import Section, circular_section
 from rodjax.scenes.scene import Scene
 
 SECTION = Section(

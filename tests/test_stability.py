@@ -13,7 +13,8 @@ from rodjax.equilibria.linear_stability import stability
 from rodjax.equilibria.small_vibration import vibration
 from rodjax.inputs.schedules import Constant
 from rodjax.interactions.loads import LinearDrag, PointLoad
-from rodjax.rods.rod import Section, straight_rod
+from rodjax.rods.builders import straight_rod
+from rodjax.rods.section import Section
 from rodjax.scenes.placing import placing
 from rodjax.scenes.scene import Scene
 

@@ -25,7 +25,8 @@ from rodjax.equilibria.small_vibration import vibration
 from rodjax.inputs.schedules import AbstractSchedule, Constant
 from rodjax.interactions.loads import Gravity, LinearDrag, PointLoad
 from rodjax.numerics.results import Result
-from rodjax.rods.rod import Section, circular_section, curved_rod, straight_rod
+from rodjax.rods.builders import curved_rod, straight_rod
+from rodjax.rods.section import Section, circular_section
 from rodjax.scenes.placing import placing
 from rodjax.scenes.scene import Scene
 

@@ -19,7 +19,8 @@ from rodjax.equations.generalized_alpha import GeneralizedAlpha
 from rodjax.inputs.schedules import PiecewiseLinear, Smooth
 from rodjax.interactions.loads import Gravity, LinearDrag, MorisonDrag, PointLoad
 from rodjax.numerics.results import Result
-from rodjax.rods.rod import circular_section, straight_rod
+from rodjax.rods.builders import straight_rod
+from rodjax.rods.section import circular_section
 from rodjax.rods.strains import strains
 from rodjax.scenes.scene import Scene
 

@@ -13,7 +13,8 @@ from rodjax.dynamics.fixed_rollout import rollout
 from rodjax.equations.generalized_alpha import GeneralizedAlpha
 from rodjax.inputs.schedules import Smooth
 from rodjax.interactions.loads import LinearDrag, MorisonDrag
-from rodjax.rods.rod import Section, straight_rod
+from rodjax.rods.builders import straight_rod
+from rodjax.rods.section import Section
 from rodjax.scenes.scene import Scene
 
 ELEMENTS, STEPS = 12, 10

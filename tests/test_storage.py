@@ -30,7 +30,8 @@ from rodjax.interactions.contact_laws import (
     Penalty,
 )
 from rodjax.numerics.results import ModelWarning, Result
-from rodjax.rods.rod import Section, straight_rod
+from rodjax.rods.builders import straight_rod
+from rodjax.rods.section import Section
 from rodjax.scenes.scene import Scene
 
 CHUNK = 8

@@ -9,8 +9,9 @@ import pytest
 from helpers import UNIT_SECTION
 
 from rodjax.numerics.results import ModelWarning
+from rodjax.rods.builders import curved_rod, straight_rod
 from rodjax.rods.curves import through
-from rodjax.rods.rod import Section, circular_section, curved_rod, straight_rod
+from rodjax.rods.section import Section, circular_section
 from rodjax.rods.strains import strains
 
 ELEMENTS = 6

@@ -12,7 +12,8 @@ from rodjax.dynamics.stepping import prepare, step
 from rodjax.interactions.contact import Contact
 from rodjax.interactions.contact_laws import InversePower
 from rodjax.interactions.loads import Gravity, MorisonDrag
-from rodjax.rods.rod import Section, straight_rod
+from rodjax.rods.builders import straight_rod
+from rodjax.rods.section import Section
 from rodjax.scenes.placing import placing
 from rodjax.scenes.scene import Scene
 

@@ -15,7 +15,8 @@ from rodjax.inputs.schedules import Constant, PiecewiseLinear
 from rodjax.interactions.loads import PointLoad
 from rodjax.measuring.energy import reactions
 from rodjax.numerics.results import ModelWarning, Result
-from rodjax.rods.rod import Section, straight_rod
+from rodjax.rods.builders import straight_rod
+from rodjax.rods.section import Section
 from rodjax.scenes.placing import placing
 from rodjax.scenes.scene import Scene
 

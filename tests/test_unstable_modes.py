@@ -16,7 +16,8 @@ from rodjax.interactions.contact import Contact
 from rodjax.interactions.contact_laws import Penalty
 from rodjax.interactions.loads import PointLoad
 from rodjax.rods.balance import Internal
-from rodjax.rods.rod import Section, straight_rod
+from rodjax.rods.builders import straight_rod
+from rodjax.rods.section import Section
 from rodjax.scenes.placing import placing
 from rodjax.scenes.scene import Scene
 

@@ -9,10 +9,10 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax import lax
-from jaxtyping import Array, Bool, Int
+from jaxtyping import Array
 
 from rodjax.dynamics import passages
+from rodjax.dynamics.attempts import Chunk, attempt_steps
 from rodjax.dynamics.coarseness import warn_if_hopeless
 from rodjax.dynamics.consistency import compiled_restart, start
 from rodjax.dynamics.run import Run, join_runs
@@ -20,14 +20,10 @@ from rodjax.dynamics.step_control import (
     Control,
     StepControl,
     begin,
-    choose,
-    error_ratio,
-    near_end,
     tolerances_of,
 )
 from rodjax.dynamics.stepping import (
     StepInfo,
-    advance_to,
     begin_constraint,
     no_info,
     prepare,
@@ -38,7 +34,6 @@ from rodjax.equations import overlap
 from rodjax.equations.generalized_alpha import GeneralizedAlpha
 from rodjax.inputs.validation import all_known, as_integer, check_instance, check_integer
 from rodjax.numerics import results
-from rodjax.numerics.compilation import compiled
 from rodjax.numerics.pace import Pace
 from rodjax.numerics.results import Interrupted, Result, as_code
 from rodjax.rods.state import State
@@ -46,21 +41,6 @@ from rodjax.scenes import drives
 from rodjax.scenes.arguments import check_end_time, check_motion
 from rodjax.scenes.placing import placing
 from rodjax.scenes.scene import Scene
-
-
-class _Chunk(NamedTuple):
-    """Carry of the adaptive loop; the buffers hold the accepted steps of one chunk."""
-
-    state: State
-    control: Control
-    states: State
-    infos: StepInfo
-    accepted: Int[Array, ""]
-    rejected: Int[Array, ""]
-    wasted: Int[Array, ""]
-    result: Int[Array, ""]
-    done: Bool[Array, ""]
-    switching: Bool[Array, ""]  # a constraint begins: the caller makes the state consistent
 
 
 class _Progress(NamedTuple):
@@ -106,7 +86,7 @@ class _Progress(NamedTuple):
         code = Result(int(held))
         return self._replace(state=state, loss=loss, code=code, done=code is not Result.SUCCESS)
 
-    def longer(self, out: _Chunk) -> "_Progress":
+    def longer(self, out: Chunk) -> "_Progress":
         """With the steps of a call."""
         cut = lambda leaf: np.asarray(leaf)[: int(out.accepted)]
         return self._replace(
@@ -224,10 +204,10 @@ def adaptive_rollout(
     end, size = jnp.asarray(end_time, dtype), min(chunk, max_steps)
     held = overlap.distances_held(scene)
 
-    def some(now: _Progress, passes) -> _Chunk:
+    def some(now: _Progress, passes) -> Chunk:
         room = jnp.asarray(size - now.count, jnp.int32)
         arguments = (end, method, tolerances, held, room, passes, size)
-        return _adaptive_chunk(scene, now.state, now.control, *arguments)
+        return attempt_steps(scene, now.state, now.control, *arguments)
 
     now, pace = _Progress.of(state, memory), Pace(size)
     try:
@@ -283,7 +263,7 @@ def compile_adaptive_rollout(
     memory, tolerances = begin(control, 1.0, dtype), tolerances_of(control, dtype)
     none = jnp.asarray(0, jnp.int32)
     held, end = overlap.distances_held(scene), state.time
-    out = _adaptive_chunk(scene, state, memory, end, method, tolerances, held, none, none, chunk)
+    out = attempt_steps(scene, state, memory, end, method, tolerances, held, none, none, chunk)
     jax.block_until_ready(out.accepted)
     # what chunks are begun and closed by, of the states that they have
     if scene.contact is not None:
@@ -296,65 +276,3 @@ def _placeholder(scene: Scene) -> State:
     """A state of the kind that `start` returns, to compile with."""
     state = placing(scene)
     return state if scene.rod.mass is None else dataclasses.replace(state, jerk=state.rate)
-
-
-@compiled
-def _adaptive_chunk(scene, state, control, end_time, method, tolerances, held, room, passes, size):
-    """Attempts at steps: at most `passes`, until `room` are accepted, in buffers of `size`."""
-    empty = lambda leaf: jnp.zeros((size, *leaf.shape), leaf.dtype)
-    switches = jnp.asarray(scene.switch_times, end_time.dtype)
-    marks = jnp.concatenate([switches, scene.corners.astype(end_time.dtype), end_time[None]])
-
-    def attempt(loop: _Chunk) -> _Chunk:
-        now = loop.state.time
-        control = near_end(loop.control, end_time - now)
-        dt = control.dt
-        # land on the next mark, without leaving a sliver of a step before it
-        mark = jnp.min(jnp.where(marks > now, marks, jnp.inf))
-        left = mark - now
-        dt = jnp.where(left < 2 * dt, jnp.where(left < 1.01 * dt, left, 0.5 * left), dt)
-        stop = jnp.where(left <= 1.0001 * dt, mark, now + dt)
-        new, info = advance_to(scene, loop.state, stop, method, held)
-        error = error_ratio(tolerances, scene.rod, loop.state, info)
-        accept, following = choose(control, dt, error, info, stop == mark)
-        too_small = ~accept & (following.dt < following.min_step)
-        failed = info.result != Result.SUCCESS
-        result = jnp.where(failed, info.result, Result.STEP_TOO_SMALL)
-        result = jnp.where(too_small, result, Result.SUCCESS)
-        put = lambda buffer, value: buffer.at[jnp.where(accept, loop.accepted, size)].set(
-            value, mode="drop"
-        )
-        chosen = jax.tree.map(lambda a, b: jnp.where(accept, a, b), new, loop.state)
-        one = accept.astype(jnp.int32)
-        return _Chunk(
-            chosen,
-            following,
-            jax.tree.map(put, loop.states, new),
-            jax.tree.map(put, loop.infos, info),
-            loop.accepted + one,
-            loop.rejected + 1 - one,
-            loop.wasted + (1 - one) * info.iterations,
-            result.astype(jnp.int32),
-            (chosen.time >= end_time) | too_small,
-            accept & jnp.any(chosen.time == switches),
-        )
-
-    zero = jnp.asarray(0, jnp.int32)
-    first = _Chunk(
-        state,
-        control,
-        jax.tree.map(empty, state),
-        jax.tree.map(empty, no_info(state.position.dtype)),
-        zero,
-        zero,
-        zero,
-        zero,
-        state.time >= end_time,
-        jnp.asarray(False),
-    )
-
-    def going(loop: _Chunk):
-        tried = loop.accepted + loop.rejected
-        return ~loop.done & ~loop.switching & (loop.accepted < room) & (tried < passes)
-
-    return lax.while_loop(going, attempt, first)
