@@ -9,7 +9,6 @@ from made_runs import reactions, run_of, run_over, start, state_of
 
 from rodjax import energy
 from rodjax.constraints.ends import Clamped
-from rodjax.equations import coupling
 from rodjax.interactions import contact, contact_energy, contact_forces, contact_laws, screening
 from rodjax.interactions.loads import LinearDrag
 from rodjax.rods import builders
@@ -79,9 +78,9 @@ def test_work_done_on_contact(hairpin):
 
 def test_the_ledger_searches_for_contact_once_a_state(hairpin, monkeypatch):
     """Forces, forces at rest and energies share what was found."""
-    searches = []
-    counted = lambda *given: searches.append(None) or screening.search(*given)
-    monkeypatch.setattr(coupling, "search", counted)
+    searches, search = [], screening.search
+    counted = lambda *given: searches.append(None) or search(*given)
+    monkeypatch.setattr(screening, "search", counted)
     for module in (contact_forces, contact_energy):
         monkeypatch.delattr(module, "search")
     run = run_of([state_of(hairpin.rod)] * 5)

@@ -12,18 +12,18 @@ from hypothesis import strategies as st
 from rodjax import rotations
 from rodjax.constraints.ends import Clamped
 from rodjax.inputs.schedules import Constant, Smooth
+from rodjax.interactions.load import total_wrench
 from rodjax.interactions.loads import (
     DistributedLoad,
     Gravity,
     LinearDrag,
     MorisonDrag,
-    NodeMotion,
     PointLoad,
-    total_wrench,
 )
 from rodjax.rods.builders import straight_rod
 from rodjax.rods.inertia import inertial_wrench, kinetic_energy, node_inertia, node_jacobian
 from rodjax.rods.section import Section
+from rodjax.rods.state import NodeMotion
 from rodjax.scenes.scene import Scene
 
 ELEMENTS = 4

@@ -20,8 +20,8 @@ from rodjax.fitting.robust import Huber
 from rodjax.inputs.schedules import Constant, Function, PiecewiseLinear, PiecewiseLinearRate, Smooth
 from rodjax.interactions.contact import Contact
 from rodjax.interactions.contact_laws import Penalty
+from rodjax.interactions.load import AbstractLoad
 from rodjax.interactions.loads import (
-    AbstractLoad,
     DistributedLoad,
     Gravity,
     LinearDrag,

@@ -91,11 +91,12 @@ def stored(scene: Scene, state: State, role: Role, found: Found | None = None) -
     Args:
         found: by what acts, see `Scene.find`; None: looked for in the state.
     """
-    found = scene.find(state.position) if found is None else found
+    rod, motion = scene.rod, node_motion(state)
     energy = jnp.zeros((), state.position.dtype)
-    for one, its in zip(scene.interactions, found, strict=True):
+    for i, one in enumerate(scene.interactions):
         if one.role is role:
-            energy = energy + one.stored(scene.rod, node_motion(state), its)
+            look = lambda one=one: one.find(rod, motion.position, None, scene.closed)
+            energy = energy + one.stored(rod, motion, look() if found is None else found[i])
     return energy
 
 
