@@ -24,6 +24,8 @@ class Level(NamedTuple):
 
 # dense systems up to this are cheaper than a front; a second front pays beyond the other
 _DENSE, _WIDE = 350, 750
+# a smaller dense system is compiled if it is so much smaller than the largest
+_WORTH = 0.6
 _FRONTS = (FrontSize(16, 6), FrontSize(24, 8))
 
 
@@ -44,6 +46,8 @@ def levels(contact: Contact, elements: int) -> tuple[Level, ...]:
 
     dense = tuple(map(level, contact.sizes))
     largest = dense[-1].unknowns
+    if not contact.capacities:  # each costs compile time: none that saves little of the largest
+        dense = (*[one for one in dense if one.unknowns < _WORTH * largest], dense[-1])
     if contact.capacities or largest <= _DENSE or jax.default_backend() != "cpu":
         return dense
     fronts = _FRONTS if largest > _WIDE else _FRONTS[:1]
