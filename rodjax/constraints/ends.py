@@ -10,13 +10,13 @@ import abc
 
 import equinox as eqx
 import jax
-import jax.core
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from rodjax.inputs.schedules import AbstractSchedule, check_schedule
 from rodjax.inputs.validation import (
+    all_known,
     as_float,
     check_finite,
     check_instance,
@@ -31,7 +31,7 @@ from rodjax.numerics import rotations
 def _unit(vector):
     """The vector over its length; what has none is left for the check."""
     vector = as_float(vector)
-    if isinstance(vector, jax.core.Tracer) and vector.shape == (3,):
+    if not all_known(vector) and vector.shape == (3,):
         return vector / jnp.linalg.norm(vector)
     if not (known(vector) and jnp.issubdtype(vector.dtype, jnp.floating)):
         return vector

@@ -6,8 +6,6 @@ that begins during a run, is first order or fails without them.
 
 import dataclasses
 
-import jax
-import jax.core
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -18,7 +16,7 @@ from rodjax.equations.constrained import Constrained
 from rodjax.equations.imbalance import acting_on, imbalance
 from rodjax.equations.overlap import check_apart
 from rodjax.inputs.argument_types import AnyArray
-from rodjax.inputs.validation import check_finite, check_numbers, check_scalar
+from rodjax.inputs.validation import all_known, check_finite, check_numbers, check_scalar
 from rodjax.numerics import rotations
 from rodjax.numerics.compilation import compiled
 from rodjax.numerics.failure import not_a_number
@@ -77,7 +75,7 @@ def start(
         array = jnp.asarray(chosen, dtype)
         if array.shape != (nodes, width):
             raise ValueError(f"{name}: expected shape {(nodes, width)}, got {array.shape}")
-        if not isinstance(array, jax.core.Tracer) and not np.all(np.isfinite(array)):
+        if all_known(array) and not np.all(np.isfinite(array)):
             raise ValueError(f"{name}: must be finite everywhere")
         start_checks.check_size(name, array)
         arrays[name] = array
@@ -100,12 +98,12 @@ def start(
     tolerance = 1e3 * float(jnp.finfo(dtype).eps) * nodes
     # negated, so that a frame of zero length (not a number here) is an error too
     stretched = ~(gap <= tolerance)
-    if not isinstance(stretched, jax.core.Tracer) and bool(stretched):
+    if all_known(stretched) and bool(stretched):
         raise ValueError(
             f"position: stretched or sheared by {float(gap):.2g} at most, but the rod is"
             " inextensible: place nodes at rest length along the element frames"
         )
-    if any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(new)):
+    if not all_known(new):
         return not_a_number(new, stretched | start_checks.held_twice(scene, new))
     _check_start(new, scene.holding)
     return new
@@ -115,7 +113,7 @@ def _check_start(state: State, holding: str) -> None:
     """Raise ValueError where no consistent start was found (outside traced code only)."""
     for name in ("rate", "acceleration", "force"):
         value = getattr(state, name)
-        if not isinstance(value, jax.core.Tracer) and not np.all(np.isfinite(value)):
+        if all_known(value) and not np.all(np.isfinite(value)):
             raise ValueError(
                 f"{holding}: no unique {name} of the start; ends, mass and loads leave"
                 " some motion or force of the rod undetermined"

@@ -6,7 +6,6 @@ from functools import partial
 
 import equinox as eqx
 import jax
-import jax.core
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
@@ -21,7 +20,7 @@ from rodjax.dynamics.unexcited import warn_if_unexcited
 from rodjax.equations.generalized_alpha import GeneralizedAlpha
 from rodjax.equations.overlap import check_apart, distances_held
 from rodjax.inputs.argument_types import AnyArray
-from rodjax.inputs.validation import check_instance, check_integer
+from rodjax.inputs.validation import all_known, check_instance, check_integer
 from rodjax.numerics import newton, results
 from rodjax.numerics.compilation import compiled
 from rodjax.numerics.failure import not_a_number
@@ -34,7 +33,7 @@ from rodjax.scenes.scene import Scene
 
 def _is_traced(*trees) -> bool:
     leaves = jax.tree.leaves(trees)
-    return any(isinstance(leaf, jax.core.Tracer) for leaf in leaves)
+    return not all_known(leaves)
 
 
 def rollout(

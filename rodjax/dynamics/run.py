@@ -4,7 +4,6 @@ import dataclasses
 
 import equinox as eqx
 import jax
-import jax.core
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
@@ -12,6 +11,7 @@ from jaxtyping import Array, Float, Int
 from rodjax.dynamics.step_control import Control
 from rodjax.dynamics.stepping import StepInfo
 from rodjax.inputs.brief import brief
+from rodjax.inputs.validation import all_known
 from rodjax.numerics.results import Result
 from rodjax.rods.state import State
 
@@ -41,7 +41,7 @@ class Run(eqx.Module):
 
     def __repr__(self) -> str:
         known = isinstance(self.result, jax.Array | np.ndarray) and np.ndim(self.result) == 0
-        if not known or isinstance(self.result, jax.core.Tracer):
+        if not known or not all_known(self.result):
             return f"Run(states={brief(self.states.time)}, result={brief(self.result)})"
         times = np.asarray(self.times)
         span = f"{times[0]:g} to {times[-1]:g}" if len(times) else "none"

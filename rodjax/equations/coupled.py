@@ -29,6 +29,7 @@ class CoupledSystem(eqx.Module):
         coupling = None if self.coupling is None else self.coupling.transpose()
         return CoupledSystem(self.blocks.transpose(), coupling)
 
+    @jax.named_scope("solve")
     def solve(self, b: Float[Array, "nodes 9"]) -> Float[Array, "nodes 9"]:
         """Solution of the system. Under `vmap` over b alone the matrix is eliminated once."""
         return _solve_apart(self, b) if self.coupling is None else _solve(self, b)
@@ -48,6 +49,7 @@ class CoupledSystem(eqx.Module):
         product = self.blocks.multiply(b[:, :, None])[:, :, 0]
         return product if self.coupling is None else product + self.coupling.multiply(b)
 
+    @jax.named_scope("eliminate")
     def eliminate(self) -> "Eliminated | EliminatedApart":
         """The system, of contact some pairs of which are near, ready for several right sides."""
         blocks, coupling = self.blocks, self.coupling

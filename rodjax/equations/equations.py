@@ -3,6 +3,7 @@
 from typing import Generic, NamedTuple, TypeVar
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float
@@ -128,6 +129,7 @@ class Equations(eqx.Module, Generic[Scheme]):
             return None
         return self.found[-1]
 
+    @jax.named_scope("residual")
     def residual(self, x):
         """Scaled residual."""
         placed = self._placed(x)
@@ -144,11 +146,13 @@ class Equations(eqx.Module, Generic[Scheme]):
         balances = impose(wrench / scales.wrench[None], gaps, self.projectors, nodes)
         return residual_rows(x, constraint, balances)
 
+    @jax.named_scope("linearize")
     def linearize(self, x) -> CoupledSystem | AnchoredSystem:
         """Derivative of the residual by the increments that `lift` takes."""
         placed = self._placed(x)
         return self._system(x, placed, self._contact(placed.motion)[1])
 
+    @jax.named_scope("newton_increment")
     def newton_increment(self, x):
         """Newton's increment, contact forces and their derivative evaluated once."""
         placed = self._placed(x)

@@ -11,12 +11,12 @@ gamma = 1/2 + a_f - a_m, beta = (gamma + 1/2)^2/4:
 from typing import NamedTuple
 
 import equinox as eqx
-import jax.core
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
 from rodjax.inputs.validation import (
+    all_known,
     as_float,
     as_float_or_none,
     as_integer,
@@ -82,7 +82,7 @@ class GeneralizedAlpha(eqx.Module):
 
     def check_precision(self, dtype) -> None:
         """Raise ValueError if the tolerance is out of reach of the rod's precision."""
-        if self.tolerance is None or isinstance(self.tolerance, jax.core.Tracer):
+        if self.tolerance is None or not all_known(self.tolerance):
             return
         floor = 100 * float(jnp.finfo(dtype).eps)
         if np.any(np.asarray(self.tolerance) < floor):

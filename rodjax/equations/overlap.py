@@ -16,12 +16,12 @@ traced code, are looked at whole, and told where (`deepest`).
 from typing import NamedTuple
 
 import jax
-import jax.core
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 from scipy.spatial import KDTree
 
+from rodjax.inputs.validation import all_known
 from rodjax.interactions.contact import Contact, Sites, along, interpolate, sites
 from rodjax.interactions.contact_energy import pair_energy
 from rodjax.interactions.contact_laws import PairProperties
@@ -159,7 +159,7 @@ def _closest(xp, p, to_p, q, to_q):
 
 def _known(scene: Scene, state: State) -> bool:
     leaves = jax.tree.leaves((scene.contact, scene.rod, state.position))
-    return not any(isinstance(leaf, jax.core.Tracer) for leaf in leaves)
+    return all_known(leaves)
 
 
 def overcome(scene: Scene, state: State) -> bool:

@@ -8,11 +8,11 @@ rod of equal bending stiffnesses nothing tells such configurations apart.
 from typing import NamedTuple
 
 import jax
-import jax.core
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from rodjax.inputs.validation import all_known
 from rodjax.interactions.load import total_wrench
 from rodjax.numerics import rotations
 from rodjax.rods.state import State, at_rest
@@ -39,7 +39,7 @@ def check_held(
     # known values stay known also inside a transformation without jit
     with jax.ensure_compile_time_eval():
         both = directions(scene, state.time)
-        if isinstance(both, jax.core.Tracer):
+        if not all_known(both):
             return Hold()
         both = np.asarray(both)
         if not np.any(both):
@@ -49,7 +49,7 @@ def check_held(
             )
         spin = spin_free and not np.any(both[:, 5, 5] > 0)
         needed = (state.position, state.quaternion, scene.rod.length, *scene.held_nodes)
-        if any(isinstance(value, jax.core.Tracer) for value in needed):
+        if not all_known(needed):
             # where neither end holds the tangent, loads must
             return Hold(loads=not np.any(both[:, (3, 4), (3, 4)] > 0), spin=spin)
         nodes = [int(node) for node in scene.held_nodes]
@@ -59,7 +59,7 @@ def check_held(
         if any(load.may_hold for load in scene.loads):
             return Hold(loads=True, spin=spin)
         time = state.time if time is None else time
-        if any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves((scene, time))):
+        if not all_known((scene, time)):
             return Hold(loads=True, spin=spin)
         unheld = len(free) - _held_by_loads(scene, state, free, time)
     if unheld > 0:

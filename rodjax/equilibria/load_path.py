@@ -8,8 +8,6 @@ import warnings
 from typing import NamedTuple
 
 import equinox as eqx
-import jax
-import jax.core
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
@@ -134,7 +132,7 @@ def equilibrium(
     numbers = {"tolerance": tolerance, "max_rotation": max_rotation}
     check_scalar(**numbers, **counts)
     check_positive(**numbers)
-    if not isinstance(tolerance, jax.core.Tracer) and tolerance < 10 * jnp.finfo(dtype).eps:
+    if all_known(tolerance) and tolerance < 10 * jnp.finfo(dtype).eps:
         raise ValueError(
             f"tolerance: {float(tolerance):g} is out of reach of {np.dtype(dtype).name}; use a"
             " larger one, or float64 (jax.config.update('jax_enable_x64', True))"
@@ -157,12 +155,12 @@ def equilibrium(
         jnp.asarray({None: LEAVE_EXCITED, True: LEAVE, False: ACCEPT}[relax], jnp.int32),
         hold,
     )
-    if not isinstance(info.result, jax.core.Tracer) and overcome(scene, new):
+    if all_known(info.result) and overcome(scene, new):
         info = info._replace(result=results.as_code(Result.CONTACT_OVERCOME))
     if relax is None:
         _warn_if_unstable(info)
     if throw:
-        if isinstance(info.result, jax.core.Tracer):
+        if not all_known(info.result):
             message = "no equilibrium was found; call with throw=False and look at `result`"
             new = eqx.error_if(new, info.result != Result.SUCCESS, message)
         else:
@@ -176,7 +174,7 @@ def equilibrium(
 
 
 def _warn_if_unstable(info: EquilibriumInfo) -> None:
-    if isinstance(info.unstable, jax.core.Tracer) or info.result != Result.SUCCESS:
+    if not all_known(info.unstable) or info.result != Result.SUCCESS:
         return
     if np.any(np.asarray(info.unstable) > 0):
         warnings.warn(
@@ -230,16 +228,16 @@ def _check_path(scene: Scene, state: State, stop) -> None:
     """Raise ValueError where schedules, switches or values do not fit the path."""
     for name in ("position", "quaternion", "force"):
         value = getattr(state, name)
-        if not isinstance(value, jax.core.Tracer) and not np.all(np.isfinite(value)):
+        if all_known(value) and not np.all(np.isfinite(value)):
             raise ValueError(f"state.{name}: must be finite everywhere")
-    if isinstance(stop, jax.core.Tracer) or isinstance(state.time, jax.core.Tracer):
+    if not all_known(stop) or not all_known(state.time):
         return
     begin, end = float(state.time), float(stop)
     if not np.isfinite(end):
         raise ValueError(f"time: must be finite, got {end:g}")
     scene.check_until(max(begin, end))
     for switch in scene.switch_times:
-        if isinstance(switch, jax.core.Tracer):
+        if not all_known(switch):
             continue
         # a constraint is in force from its switch on: backwards it ends where it began
         if begin < float(switch) < end or end < float(switch) <= begin:

@@ -4,14 +4,13 @@ import warnings
 from collections.abc import Sequence
 
 import equinox as eqx
-import jax
-import jax.core
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from rodjax.dynamics.run import Run
 from rodjax.inputs.validation import (
+    all_known,
     as_float,
     as_float_or_none,
     broadcasts,
@@ -57,7 +56,7 @@ class Observations(eqx.Module):
         if self.present is not None and (kind is None or not jnp.issubdtype(kind, jnp.bool_)):
             raise ValueError("present: give truth values, True where there is a value")
         leaves = (self.times, self.values, self.deviation, self.present)
-        if any(isinstance(x, jax.core.Tracer) for x in leaves) or not known(self.times):
+        if not all_known(leaves) or not known(self.times):
             return
         times, values = np.asarray(self.times), np.asarray(self.values)
         if not (times.ndim >= 1 and times.size and times.shape == values.shape[: times.ndim]):
@@ -172,7 +171,7 @@ def positions_at(
     first, last = saved[0], saved[-1]
     slack = 8 * jnp.finfo(saved.dtype).eps * (jnp.abs(first) + jnp.abs(last))
     inside = (times >= first - slack) & (times <= last + slack)
-    traced = any(isinstance(x, jax.core.Tracer) for x in (saved, times, inside))
+    traced = not all_known((saved, times, inside))
     if not traced and not np.all(inside):
         outside = float(np.asarray(times)[~np.asarray(inside)][0])
         raise ValueError(

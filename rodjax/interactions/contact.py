@@ -9,8 +9,6 @@ import dataclasses
 from typing import NamedTuple
 
 import equinox as eqx
-import jax
-import jax.core
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
@@ -18,6 +16,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from rodjax.inputs.argument_types import Number
 from rodjax.inputs.validation import (
+    all_known,
     as_float,
     as_float_or_none,
     check_instance,
@@ -172,7 +171,7 @@ class Contact(eqx.Module):
         check_law(self.law, self.cutoff, rod)
         length = jnp.sum(rod.length)
         reach = self.excluded
-        if any(isinstance(x, jax.core.Tracer) for x in (length, reach)):
+        if not all_known((length, reach)):
             return
         reach, length = np.asarray(reach), np.asarray(length)
         if np.any(reach >= length):

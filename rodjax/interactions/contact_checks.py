@@ -1,11 +1,11 @@
 """Whether a contact law acts where it is meant to: looked at once, when a scene is made."""
 
 import jax
-import jax.core
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from rodjax.inputs.validation import all_known
 from rodjax.interactions.contact_laws import AbstractLaw, PairProperties
 from rodjax.numerics.compilation import compiled
 from rodjax.rods.rod import Rod
@@ -20,7 +20,7 @@ def check_law(law: AbstractLaw, cutoff: Float[Array, ""], rod: Rod) -> None:
     Values that are not known are not looked at.
     """
     leaves = jax.tree.leaves((law, cutoff, rod.diameter, rod.mass))
-    if any(isinstance(leaf, jax.core.Tracer) for leaf in leaves) or np.ndim(cutoff) != 0:
+    if not all_known(leaves) or np.ndim(cutoff) != 0:
         return
     of_both = lambda v: jnp.asarray([np.min(v), np.max(v)], rod.position.dtype)
     with jax.ensure_compile_time_eval():

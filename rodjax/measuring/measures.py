@@ -3,7 +3,6 @@
 from typing import NamedTuple
 
 import jax
-import jax.core
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
@@ -12,6 +11,7 @@ from jaxtyping import Array, Float
 from rodjax.constraints.ends import Turn
 from rodjax.dynamics.run import Run
 from rodjax.inputs.argument_types import AnyArray
+from rodjax.inputs.validation import all_known
 from rodjax.interactions import contact_forces
 from rodjax.interactions.contact_forces import ContactReport
 from rodjax.measuring import energy
@@ -58,7 +58,7 @@ def turns(
 def _along(name: str, turn: Turn, frame: Float[Array, "4"]) -> Float[Array, ""]:
     """1 or -1: whether the drive turns about the tangent or against it."""
     cosine = jnp.sum(turn.axis * rotations.tangent_director(frame))
-    if isinstance(cosine, jax.core.Tracer):
+    if not all_known(cosine):
         return cosine
     if np.abs(np.abs(np.asarray(cosine)) - 1) > 1e3 * float(jnp.finfo(cosine.dtype).eps):
         raise ValueError(

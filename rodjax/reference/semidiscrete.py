@@ -21,13 +21,13 @@ import functools
 import operator
 
 import equinox as eqx
-import jax.core
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
 from rodjax.constraints import ends
 from rodjax.dynamics.consistency import start
+from rodjax.inputs.validation import all_known
 from rodjax.interactions.load import total_wrench
 from rodjax.numerics import rotations
 from rodjax.rods import balance
@@ -147,7 +147,7 @@ def _check(scene: Scene) -> None:
         ("compliance", "extensible=True"),
     ):
         value = getattr(rod, name)
-        known = value is not None and not isinstance(value, jax.core.Tracer)
+        known = value is not None and all_known(value)
         if value is None or (known and np.any(np.asarray(value) <= 0)):
             raise ValueError(
                 f"{name}: must be positive in every direction for the rod to be a differential"

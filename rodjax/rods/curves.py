@@ -4,13 +4,12 @@ from collections.abc import Callable
 from typing import Any
 
 import jax
-import jax.core
 import jax.numpy as jnp
 import numpy as np
 
 from rodjax.inputs.argument_types import AnyArray
 from rodjax.inputs.user_functions import called, returned
-from rodjax.inputs.validation import array_of, check_finite, check_numbers, known, shown
+from rodjax.inputs.validation import all_known, array_of, check_finite, check_numbers, known, shown
 from rodjax.rods.framing import module_of, vector
 
 _MOST_POINTS = 2000
@@ -24,10 +23,10 @@ def along(curve: Callable, s: AnyArray) -> tuple[AnyArray, AnyArray]:
     Traced where the curve or they are. The slopes of a curve written with jax.numpy are exact in
     any precision; those of one that cannot be differentiated are differences.
     """
-    if isinstance(s, jax.core.Tracer):
+    if not all_known(s):
         return _differentiated(curve, s)
     first = called("curve", curve, s[0])
-    if isinstance(array_of(first), jax.core.Tracer):
+    if not all_known(array_of(first)):
         return _differentiated(curve, s)
     begin = vector(first, "curve")
     if any(isinstance(part, jax.Array) for part in jax.tree.leaves(first)):

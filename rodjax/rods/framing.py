@@ -6,14 +6,13 @@ traced, by jax.numpy, with the same formulas.
 
 from collections.abc import Sequence
 
-import jax
-import jax.core
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
 from rodjax.inputs.argument_types import AnyArray, Number, Vector
 from rodjax.inputs.validation import (
+    all_known,
     array_of,
     as_integer,
     check_finite,
@@ -29,7 +28,7 @@ from rodjax.inputs.validation import (
 
 def module_of(*arrays):
     """jax.numpy where one of them is traced, else numpy."""
-    return jnp if any(isinstance(array, jax.core.Tracer) for array in arrays) else np
+    return np if all_known(arrays) else jnp
 
 
 def vector(value: Vector, name: str) -> AnyArray:

@@ -5,10 +5,10 @@ an error that looks like one of the time integration.
 """
 
 import jax
-import jax.core
 import jax.numpy as jnp
 import numpy as np
 
+from rodjax.inputs.validation import all_known
 from rodjax.interactions.load import AbstractLoad
 from rodjax.interactions.loads import Gravity
 from rodjax.interactions.roles import Role
@@ -31,7 +31,7 @@ def check_potential(load: AbstractLoad, rod: Rod, name: str) -> None:
         raise ValueError(f"{title}: its role must be a rodjax.Role, got {load.role!r}")
     if load.role not in _WITH_ENERGY or type(load).__module__ == Gravity.__module__:
         return
-    if any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves((load, rod))):
+    if not all_known((load, rod)):
         return
     generator = np.random.default_rng(0)
     with jax.ensure_compile_time_eval():

@@ -5,7 +5,6 @@ from typing import Any
 
 import equinox as eqx
 import jax
-import jax.core
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
@@ -13,7 +12,7 @@ from jaxtyping import Array, Bool, Float
 from rodjax.constraints.ends import AbstractEnd, Free, check_end
 from rodjax.constraints.supports import Support
 from rodjax.inputs.brief import brief
-from rodjax.inputs.validation import as_traced, check_instance, known
+from rodjax.inputs.validation import all_known, as_traced, check_instance, known
 from rodjax.interactions.contact import Contact
 from rodjax.interactions.interaction import AbstractInteraction
 from rodjax.interactions.load import AbstractLoad
@@ -113,7 +112,7 @@ class Scene(eqx.Module):
             raise ValueError("loads: a rod with mass=None needs a LinearDrag to balance elasticity")
         names = ("normal", "tangential", "rotational")
         for name, values in zip(names, zip(*drags, strict=True), strict=True):
-            if any(isinstance(v, jax.core.Tracer) or not hasattr(v, "shape") for v in values):
+            if any(not all_known(v) or not hasattr(v, "shape") for v in values):
                 continue
             if not np.all(sum(np.asarray(v) for v in values) > 0):
                 raise ValueError(f"{name}: a rod with mass=None needs a positive {name} LinearDrag")
@@ -158,6 +157,7 @@ class Scene(eqx.Module):
         own = self.self_contact
         return self.loads if own is None else (*self.loads, own)
 
+    @jax.named_scope("find")
     def find(
         self, position: Float[Array, "nodes 3"], displacement: Float[Array, "nodes 3"] | None = None
     ) -> Found:
@@ -212,7 +212,7 @@ class Scene(eqx.Module):
     def check_until(self, time: float) -> None:
         """Raise ValueError if a schedule ends before `time` (outside traced code only)."""
         for name, schedule in self.schedules:
-            if isinstance(schedule.until, jax.core.Tracer):
+            if not all_known(schedule.until):
                 continue
             until = float(schedule.until)
             if until < time - 1e-9 * abs(time):
