@@ -1,1 +1,1 @@
-"""What holds a rod: its ends."""
+"""What holds a rod: its ends, and supports between them."""
