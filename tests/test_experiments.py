@@ -6,9 +6,11 @@ import re
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import equinox as eqx
 import h5py
+import jax.numpy as jnp
 import jupytext
 import numpy as np
 import pytest
@@ -22,6 +24,7 @@ sys.path.insert(0, str(ROOT / "experiments"))
 
 import example  # noqa: E402
 import intertwine  # noqa: E402
+import plectoneme  # noqa: E402
 
 KEYS = {
     "preset", "elements", "steps", "rejected", "newton_iterations", "compile_seconds",
@@ -319,3 +322,59 @@ def test_ladder_in_short_mode(tmp_path):
     held = summary["held_derivative"]
     assert held["failed"] == 0 and held["apart"]["ratio"] > 0
     assert (tmp_path / "ladder.png").exists()
+
+
+@pytest.mark.slow
+def test_plectoneme_in_short_mode(tmp_path):
+    text = _run("plectoneme.py", "--quick", "--out", str(tmp_path))
+    summary = json.loads((tmp_path / "summary.json").read_text())
+    assert summary["result"] == "SUCCESS" and "measured over theory" in text
+    assert summary["linking_error_max"] < 1e-9
+    (hold,) = summary["holds"]
+    assert hold["kinetic_over_strain"] < 1e-6
+    # without friction the torque of either clamp is that in the rod
+    assert hold["torque"] == pytest.approx(hold["torque_of_other_clamp"], rel=3e-3)
+    assert 0.9 < hold["ply"]["radius_over_rods"] < 1.0
+    for name in ("snapshots", "ply"):
+        assert (tmp_path / f"{name}.png").exists()
+
+
+def test_ply_of_theory_is_where_its_energy_is_stationary():
+    bending, radius, angle, step = 3.0, 0.7, 0.4, 1e-5
+    found = plectoneme.closed_form(bending, radius, angle)
+
+    def energy(radius, angle, length):
+        bent = 0.5 * bending * np.sin(angle) ** 4 / radius**2
+        turned = 0.5 * np.sin(2 * angle) / radius
+        return length * (bent + found.tension - found.torque * turned)
+
+    slope = lambda f: (f(step) - f(-step)) / (2 * step)
+    size = energy(radius, angle, 1.0) + found.torque
+    assert abs(slope(lambda x: energy(radius, angle + x, 1.0))) < 1e-8 * size
+    assert abs(slope(lambda x: energy(radius, angle, 1.0 + x))) < 1e-8 * size
+    # strands press on each other by what the ply would lose if they came nearer
+    pressed = slope(lambda x: energy(radius + x, angle, 1.0))
+    assert found.pressure == pytest.approx(pressed, rel=1e-8)
+    assert plectoneme.angle_of(bending, radius, found.torque) == pytest.approx(angle, rel=1e-9)
+
+
+def test_ply_is_measured_as_it_was_made():
+    # two helices about z that meet in a corner; the first goes up, so that its frames do not twist
+    whole = plectoneme.rod(400)
+    step, radius, angle = plectoneme.LENGTH / 400, 0.99 * plectoneme.RADIUS, np.radians(25)
+    s = step * (np.arange(401) - 200)
+    along = -np.abs(s) * np.cos(angle)
+    turned = -np.abs(s) * np.sin(angle) / radius + np.where(s > 0, np.pi, 0.0)
+    position = np.stack([radius * np.cos(turned), radius * np.sin(turned), along], -1)
+    around = np.stack([-np.sin(turned), np.cos(turned), np.zeros(401)], -1)
+    tangent = np.sin(angle) * around + np.cos(angle) * np.array([0, 0, 1])
+    tangent = -np.sign(s)[:, None] * tangent
+    half = np.stack([1 + tangent[:, 2], -tangent[:, 1], tangent[:, 0], np.zeros(401)], -1)
+    half[200] = 1.0, 0.0, 0.0, 0.0
+    half /= np.linalg.norm(half, axis=1, keepdims=True)
+    state = SimpleNamespace(position=position, quaternion=jnp.asarray(half))
+    inner = plectoneme.middle(plectoneme.touching(whole, state))
+    assert len(inner.node) > 50
+    np.testing.assert_allclose(0.5 * inner.distance, radius, rtol=1e-4)
+    for found in (inner.angle, inner.between_lines, inner.between_normals):
+        np.testing.assert_allclose(np.degrees(found), 25, atol=0.1)
