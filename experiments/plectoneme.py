@@ -87,8 +87,8 @@ QUICK = Size(120, (10.0,), 0.05, 0.1, 240)
 def arguments(argv=None) -> argparse.Namespace:
     """Options of the command line, with the defaults that --quick changes."""
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
-    parser.add_argument("--elements", type=int, metavar="N", help="default 400 (80 with --quick)")
-    parser.add_argument("--turns", type=float, metavar="K", help="at the end; default 20 (5)")
+    parser.add_argument("--elements", type=int, metavar="N", help="default 400 (120 with --quick)")
+    parser.add_argument("--turns", type=float, metavar="K", help="at the end; default 20 (10)")
     parser.add_argument("--finer", type=int, metavar="N", help="for the end; default 600; 0: none")
     parser.add_argument("--quick", action="store_true", help="coarse and short, to try it out")
     parser.add_argument("--out", type=Path, default=Path("results/plectoneme"), metavar="DIR")
@@ -100,6 +100,8 @@ def arguments(argv=None) -> argparse.Namespace:
         options.finer = 0 if options.quick else 600
     if options.elements < 20:
         parser.error(f"--elements: at least 20, got {options.elements}")
+    if options.finer and options.finer < 20:
+        parser.error(f"--finer: at least 20, or 0 for none, got {options.finer}")
     if not options.turns > 0:
         parser.error(f"--turns: must be positive, got {options.turns:g}")
     stages = (*(k for k in size.turns if k < options.turns), options.turns)
