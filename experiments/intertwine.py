@@ -27,6 +27,7 @@ from intertwine_results import (
     Outcome,
     draw,
     measure,
+    prepare_measures,
     print_costs,
     print_inputs,
     print_milestones,
@@ -146,10 +147,14 @@ def run_fixed(
 def simulate_and_store(
     scene: Scene, until: float, method, control: StepControl, schedule, store: Callable[[Run], None]
 ) -> Outcome:
-    """Run the example, by the schedule if there is one; what has been computed is always stored."""
-    began = time.perf_counter()
+    """Run the example, by the schedule if there is one; what has been computed is always stored.
+
+    The measures are compiled meanwhile.
+    """
+    began, prepared = time.perf_counter(), None
     if schedule is None:
-        compile_adaptive_rollout(scene, method=method, chunk=CHUNK)
+        later = partial(prepare_measures, scene)
+        prepared = compile_adaptive_rollout(scene, method=method, chunk=CHUNK, meanwhile=later)
     first = start(scene)
     starting = time.perf_counter() - began
     recorder = Recorder(first, until)
@@ -169,7 +174,8 @@ def simulate_and_store(
         recorder.bar.close()
         if run is not None:
             store(run)
-    return outcome._replace(compile_seconds=outcome.compile_seconds + starting)
+    compiling = outcome.compile_seconds + starting
+    return outcome._replace(compile_seconds=compiling, prepared=prepared)
 
 
 def main(argv=None) -> int:
@@ -193,6 +199,8 @@ def main(argv=None) -> int:
         print(f"FAILED after t = {float(run.times[-1]):g} s: {MESSAGES[code]}", file=sys.stderr)
         return 1
     began = time.perf_counter()
+    if outcome.prepared is not None:
+        outcome.prepared.result()
     found = measure(whole, run)
     summary = summarise(options, preset, whole, outcome, found)
     summary["measure_seconds"] = time.perf_counter() - began

@@ -1,17 +1,19 @@
 """What comes of a run of the paper's example: its measures, numbers, milestones and figures."""
 
 import argparse
+import io
+from concurrent.futures import Future
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import jax.numpy as jnp
+import jax
 import numpy as np
 from example import FROM_PAPER, LOADING_AXIS, Preset
-from jax import lax
 
 from rodjax import energy, measures, plot
-from rodjax.dynamics.run import Run
-from rodjax.numerics.compilation import compiled
+from rodjax.dynamics.adaptive import placeholder
+from rodjax.dynamics.run import Run, of_no_steps
+from rodjax.measuring.blocks import over_states
 from rodjax.numerics.results import MESSAGES, Result
 from rodjax.scenes.scene import Scene
 
@@ -24,6 +26,7 @@ class Outcome(NamedTuple):
     run: Run
     compile_seconds: float
     run_seconds: float
+    prepared: Future | None = None  # when what measures and draws it is compiled
 
 
 class Measured(NamedTuple):
@@ -42,31 +45,36 @@ MEASURE_UNITS = {"stretch": "1", "apex_angle": "rad", "contact_force": "N", "gap
 """Units of the plain arrays of `Measured`, for the file."""
 
 
+@over_states
+def _others(state, scene, axis):
+    return (
+        measures.stretch_error(scene.rod, state),
+        measures.apex_angle(state, axis),
+        energy.reactions(scene, state),
+    )
+
+
 def measure(scene: Scene, run: Run) -> Measured:
-    """All measures of a run, each once."""
-    axis = jnp.asarray(LOADING_AXIS)
-
-    @compiled
-    def over_states(scene, states):
-        def one(state):
-            return (
-                measures.stretch_error(scene.rod, state),
-                measures.apex_angle(state, axis),
-                energy.reactions(scene, state),
-            )
-
-        return lax.map(one, states)
-
+    """All measures of a run, each once, as arrays of numpy, which compiles nothing."""
     touching = (None, None)
     if scene.contact is not None:
         found = measures.contacts(scene, run)
         touching = found.total, found.smallest
-    return Measured(
+    found = Measured(
         energy.ledger(scene, run),
         measures.linking(scene, run),
-        *over_states(scene, run.states),
+        *_others(run.states, scene, np.asarray(LOADING_AXIS)),
         *touching,
     )
+    return jax.tree.map(np.asarray, found)
+
+
+def prepare_measures(scene: Scene) -> None:
+    """Compile what `measure` and `draw` will need, and import what draws."""
+    run = of_no_steps(placeholder(scene))
+    measure(scene, run)
+    energy.strain_energy_density(scene.rod, run.final)
+    plot.energies(np.arange(2.0), {"nothing": np.zeros(2)}).savefig(io.BytesIO())
 
 
 def summarise(
@@ -77,7 +85,7 @@ def summarise(
     times = np.asarray(run.times)
     at = lambda values, t: None if not times[0] <= t <= times[-1] else _at(times, values, t)
     finite = lambda value: float(value) if np.isfinite(value) else None
-    linking_error = float(jnp.max(jnp.abs(linking.error)))
+    linking_error = float(np.max(np.abs(linking.error)))
     code = Result(int(run.result))
     if scene.contact is not None and linking_error > 1 and code == Result.SUCCESS:
         code = Result.STRAND_PASSAGE
@@ -103,7 +111,9 @@ def summarise(
         "contact": scene.contact is not None,
         "steps": len(times) - 1,
         "rejected": int(run.rejected),
-        "newton_iterations": int(run.infos.iterations.sum() + run.wasted_iterations),
+        "newton_iterations": int(
+            np.sum(np.asarray(run.infos.iterations)) + int(run.wasted_iterations)
+        ),
         "compile_seconds": outcome.compile_seconds,
         "run_seconds": outcome.run_seconds,
         "end_time": float(times[-1]),
@@ -112,7 +122,7 @@ def summarise(
         "twist_eq15_end": float(linking.twist_eq15[-1]),
         "writhe_end": float(linking.writhe[-1]),
         "linking_error_max": linking_error,
-        "stretch_max": float(jnp.max(found.stretch)),
+        "stretch_max": float(np.max(found.stretch)),
         "energy_balance_error": finite(ledger.balance_error),
         "buckling_time": float(measures.time_of_maximum(run.times, ledger.torsion))
         if buckled

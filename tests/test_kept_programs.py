@@ -21,7 +21,6 @@ jax.block_until_ready(jax.jit(lambda x: jnp.sin(x) + 1)(jnp.ones(3)))  # before 
 import rodjax as rx
 assert jax.config.jax_compilation_cache_dir is None
 folder = rx.keep_compiled(*sys.argv[1:])
-jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
 program = rx.jit(lambda x: jnp.linalg.solve(jnp.outer(x, x) + jnp.eye(4), jnp.cos(x)))
 jax.block_until_ready(program(jnp.arange(4.0)))
 print(folder, "/jax/compilation_cache/cache_hits" in taken)
@@ -31,6 +30,7 @@ print(folder, "/jax/compilation_cache/cache_hits" in taken)
 def run(*arguments, **environment):
     command = [sys.executable, "-c", CODE, *map(str, arguments)]
     hidden = {"JAX_COMPILATION_CACHE_DIR", "JAX_ENABLE_COMPILATION_CACHE"}
+    hidden.add("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS")
     kept = {k: v for k, v in os.environ.items() if k not in hidden}
     said = subprocess.run(
         command, capture_output=True, text=True, check=False, env=kept | environment

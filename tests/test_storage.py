@@ -244,7 +244,9 @@ def test_interrupted_write_keeps_the_earlier_file(example, tmp_path, monkeypatch
         if where == "flush":
             patch.setattr(sealed_files.os, "fsync", interrupt)
         else:
-            patch.setattr(run_files, "_curvatures", interrupt)  # when most of it has been written
+            patch.setattr(
+                run_files, "turns_of_elements", interrupt
+            )  # when most of it has been written
         with pytest.raises(KeyboardInterrupt):
             storage.save(path, *example, measures={"number": 2})
     assert path.read_bytes() == before

@@ -113,7 +113,10 @@ class AbstractEnd(eqx.Module):
         return self._holds(6) is True
 
     def _holds(self, directions: int) -> bool | Bool[Array, ""]:
-        """Whether the first so many directions are always held."""
+        """Whether the first so many directions are always held.
+
+        The library's own ends say it by themselves: to look takes a dozen small programs.
+        """
         # what an end's kind makes of no numbers is known in traced code too
         with jax.ensure_compile_time_eval():
             # the first long before any change
@@ -167,6 +170,9 @@ class Free(AbstractEnd):
     def projector(self, time):
         return jnp.zeros((6, 6))
 
+    def _holds(self, directions):
+        return False
+
 
 class Clamped(AbstractEnd):
     """Position and frame prescribed: held where they are, or moved by schedules.
@@ -184,6 +190,9 @@ class Clamped(AbstractEnd):
 
     def projector(self, time):
         return jnp.eye(6)
+
+    def _holds(self, directions):
+        return True
 
 
 class Pinned(AbstractEnd):
@@ -205,6 +214,9 @@ class Pinned(AbstractEnd):
 
     def projector(self, time):
         return _translation(jnp.eye(3))
+
+    def _holds(self, directions):
+        return directions <= 3
 
 
 class Slider(AbstractEnd):
@@ -229,8 +241,7 @@ class Slider(AbstractEnd):
         along = jnp.outer(self.axis, self.axis)
         return jnp.eye(6, dtype=along.dtype) - _translation(along)
 
-    @property
-    def fixed(self):
+    def _holds(self, directions):
         return False
 
 
@@ -271,6 +282,12 @@ class Switched(AbstractEnd):
         dtype = jnp.result_type(time, float)
         after, before = (end.projector(time).astype(dtype) for end in (self.after, self.before))
         return jnp.where(time >= jnp.asarray(self.at, dtype), after, before)
+
+    def _holds(self, directions):
+        before, after = self.before._holds(directions), self.after._holds(directions)
+        if isinstance(before, bool) and isinstance(after, bool):
+            return before and after
+        return super()._holds(directions)
 
     @property
     def switch_times(self):

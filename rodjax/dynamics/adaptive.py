@@ -2,7 +2,7 @@
 
 import dataclasses
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
 from functools import partial
 from typing import NamedTuple
 
@@ -244,35 +244,64 @@ def compile_adaptive_rollout(
     method: GeneralizedAlpha | None = None,
     *,
     chunk: int = 50,
-) -> None:
+    meanwhile: Callable[[], object] | None = None,
+) -> Future:
     """Compile the loop of `adaptive_rollout` for this scene and chunk without taking a step.
 
-    Without a state `start(scene)` is compiled too, at the same time in a thread of its own.
+    What else a run needs is compiled at the same time in a thread of its own: the passage check,
+    what begins a constraint, and without a state `start(scene)`.
+
+    Args:
+        scene, state, method: those of the run to come.
+        chunk: as in `adaptive_rollout`.
+        meanwhile: called in that thread in the end, and not waited for: a run may begin before it
+            is done. For `rodjax.measuring.beforehand.compile_measures`, or the import of plots.
+
+    Returns:
+        The future of `meanwhile` (of None, if there is none): its `result()` waits, and raises what
+        it raised.
     """
     chunk = as_integer(chunk)
     check_integer(1, chunk=chunk)
-    if state is None:
-        with ThreadPoolExecutor(1) as other:
-            starting = other.submit(start, scene)
-            compile_adaptive_rollout(scene, _placeholder(scene), method, chunk=chunk)
-            starting.result()
-        return
-    control, dtype = StepControl(), state.position.dtype
-    state = prepare(scene, state)
+    given = placeholder(scene) if state is None else prepare(scene, state)
+    control, dtype = StepControl(), given.position.dtype
     method = GeneralizedAlpha() if method is None else method
     memory, tolerances = begin(control, 1.0, dtype), tolerances_of(control, dtype)
     none = jnp.asarray(0, jnp.int32)
-    held, end = overlap.distances_held(scene), state.time
-    out = attempt_steps(scene, state, memory, end, method, tolerances, held, none, none, chunk)
-    jax.block_until_ready(out.accepted)
-    # what chunks are begun and closed by, of the states that they have
+    held, end = overlap.distances_held(scene), given.time
+    arguments = (scene, given, memory, end, method, tolerances, held, none, none, chunk)
+    # traced before anything else: what the other thread traces meanwhile would hold it up
+    loop = attempt_steps.lower(*arguments)
+    other = ThreadPoolExecutor(1)
+    try:
+        starting = other.submit(_compile_others, scene, given, state is None)
+        rest = other.submit(meanwhile if meanwhile is not None else lambda: None)
+        loop.compile()
+        jax.block_until_ready(attempt_steps(*arguments))
+        starting.result()
+    finally:
+        other.shutdown(wait=False)
+    return rest
+
+
+def _compile_others(scene: Scene, state: State, with_start: bool) -> None:
+    """What a run is begun by, and its chunks are begun and closed by."""
+    if with_start:
+        start(scene)
     if scene.contact is not None:
-        passages.unexplained(scene, state, out.state)
+        passages.unexplained(scene, state, state)
     if scene.switch_times:
-        begin_constraint(scene, out.state, compiled_restart)
+        begin_constraint(scene, state, compiled_restart)
+    drives.astray(scene, _in_a_second(state), 0.0)
 
 
-def _placeholder(scene: Scene) -> State:
-    """A state of the kind that `start` returns, to compile with."""
-    state = placing(scene)
+def _in_a_second(state: State) -> State:
+    """A state twice, a second later."""
+    both = jax.tree.map(lambda leaf: np.stack([leaf, leaf]), state)
+    return dataclasses.replace(both, time=both.time + np.asarray([0, 1], both.time.dtype))
+
+
+def placeholder(scene: Scene) -> State:
+    """A state of the kind that runs hand on, to compile with."""
+    state = prepare(scene, placing(scene))
     return state if scene.rod.mass is None else dataclasses.replace(state, jerk=state.rate)

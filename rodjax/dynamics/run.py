@@ -9,10 +9,10 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from rodjax.dynamics.step_control import Control
-from rodjax.dynamics.stepping import StepInfo
+from rodjax.dynamics.stepping import StepInfo, no_info
 from rodjax.inputs.brief import brief
 from rodjax.inputs.validation import all_known
-from rodjax.numerics.results import Result
+from rodjax.numerics.results import Result, as_code
 from rodjax.rods.state import State
 
 
@@ -58,7 +58,7 @@ class Run(eqx.Module):
     @property
     def final(self) -> State:
         """The last state."""
-        return jax.tree.map(lambda leaf: leaf[-1], self.states)
+        return self.state(-1)
 
     @property
     def resume_state(self) -> State:
@@ -72,11 +72,28 @@ class Run(eqx.Module):
 
     def state(self, index: int) -> State:
         """One saved state."""
-        return jax.tree.map(lambda leaf: leaf[index], self.states)
+        return jax.tree.map(lambda leaf: _picked(leaf, index), self.states)
 
     def nearest(self, time: float) -> State:
         """The saved state nearest to a time."""
         return self.state(int(np.argmin(np.abs(np.asarray(self.times) - time))))
+
+
+def _picked(leaf, index: int):
+    """One entry of an array along its first axis."""
+    if isinstance(leaf, jax.Array) and all_known(leaf) and jax.default_backend() == "cpu":
+        # a slice by jax is a program of its own for every length of a run
+        return jax.device_put(np.asarray(leaf)[index])
+    return leaf[index]
+
+
+def of_no_steps(state: State) -> Run:
+    """The run of no steps from a state, interrupted there."""
+    one = lambda leaf: jax.device_put(np.asarray(leaf)[None])
+    none = lambda leaf: jax.device_put(np.zeros((0, *leaf.shape), leaf.dtype))
+    info, zero = no_info(state.position.dtype), jnp.asarray(0, jnp.int32)
+    code = as_code(Result.INTERRUPTED)
+    return Run(jax.tree.map(one, state), jax.tree.map(none, info), code, zero, zero)
 
 
 def join_runs(start: State, parts: list[Run]) -> Run:
@@ -101,8 +118,9 @@ def join_runs(start: State, parts: list[Run]) -> Run:
         start = dataclasses.replace(start, settling=jnp.asarray(0, jnp.int32))
     join = lambda *leaves: np.concatenate(leaves)
     states, infos = jax.tree.map(join, *[(part.states, part.infos) for part in parts])
-    infos = jax.tree.map(jnp.asarray, infos)
-    first = lambda a, b: jnp.asarray(np.concatenate([np.asarray(a)[None], b]))
+    # put, not converted: that would compile a program for every length
+    infos = jax.tree.map(jax.device_put, infos)
+    first = lambda a, b: jax.device_put(np.concatenate([np.asarray(a)[None], b]))
     states = jax.tree.map(first, start, states)
     return Run(states, infos, last.result, last.rejected, last.wasted_iterations, last.control)
 

@@ -4,6 +4,8 @@ A solver for what is in contact is chosen at run time, see `contact_levels`: the
 are eliminated as a dense system, or all nodes along the strip that the strands form.
 """
 
+from functools import partial
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -59,10 +61,8 @@ class CoupledSystem(eqx.Module):
         def numbers(level, blocks, coupling):
             return _elimination(level).of(blocks, coupling, level).numbers()
 
-        each = [
-            lambda blocks, coupling, level=level: numbers(level, blocks, coupling)
-            for level in coupling.levels
-        ]
+        # jitted so as to be traced once, for the sizes and for the branches
+        each = [jax.jit(partial(numbers, level)) for level in coupling.levels]
         sizes = [[x.shape[-1] for x in jax.eval_shape(one, blocks, coupling)] for one in each]
         row, order = (max(size) for size in zip(*sizes, strict=True))
 

@@ -70,7 +70,7 @@ class GeneralizedAlpha(eqx.Module):
     def __check_init__(self):
         rho = self.spectral_radius
         check_scalar(spectral_radius=rho)
-        if known(rho) and not 0 <= rho < 1:
+        if known(rho) and not 0 <= float(rho) < 1:
             raise ValueError(
                 f"spectral_radius: must be in [0, 1), got {rho}; at 1 the constraint forces of"
                 " the inextensible rod and its ends are not stable (index 3)"

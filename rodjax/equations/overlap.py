@@ -19,7 +19,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
-from scipy.spatial import KDTree
 
 from rodjax.inputs.validation import all_known
 from rodjax.interactions.contact import Contact, Sites, along, interpolate, sites
@@ -124,6 +123,8 @@ def _limits(scene: Scene) -> _Limits:
 
 def deepest(scene: Scene, position) -> Overlap | None:
     """Where strands of a configuration are too near, most of all; None if nowhere (not traced)."""
+    from scipy.spatial import KDTree  # a tenth of the time of the import of rodjax
+
     contact = scene.contact
     if contact is None or not np.all(np.isfinite(np.asarray(position))):
         return None

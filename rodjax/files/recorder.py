@@ -8,13 +8,11 @@ from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 
-from rodjax.dynamics.run import Run
+from rodjax.dynamics.run import Run, of_no_steps
 from rodjax.dynamics.step_control import StepControl
-from rodjax.dynamics.stepping import no_info, prepare
+from rodjax.dynamics.stepping import prepare
 from rodjax.equations.generalized_alpha import GeneralizedAlpha
 from rodjax.files.object_reading import ObjectReader
 from rodjax.files.plain_trees import read_images
@@ -75,7 +73,7 @@ class Recorder:
                     f" {type(value).__name__}"
                 )
         others = {"method": method, "control": control, "measures": None, "schedule": None}
-        run = _nothing_yet(prepare(scene, state))
+        run = of_no_steps(prepare(scene, state))
         write_run(path, scene, run, units, others)
         with contextlib.ExitStack() as unless_begun:
             stream = unless_begun.enter_context(_locked(path))
@@ -175,16 +173,6 @@ class Recorder:
         # the chunks are safe as they are, and the error at hand is the one to be told
         with contextlib.suppress(StorageError):
             self.close(getattr(error, "result", Result.INTERRUPTED))
-
-
-def _nothing_yet(state: State) -> Run:
-    """The run of no steps from a state."""
-    states = jax.tree.map(lambda leaf: leaf[None], state)
-    none = jax.tree.map(
-        lambda leaf: jnp.zeros((0, *leaf.shape), leaf.dtype), no_info(state.position.dtype)
-    )
-    zero = jnp.asarray(0, jnp.int32)
-    return Run(states, none, as_code(Result.INTERRUPTED), zero, zero)
 
 
 def _locked(path: Path) -> io.BufferedRandom:

@@ -9,9 +9,9 @@ from typing import Any
 
 import h5py
 import jax
-import jax.numpy as jnp
 import numpy as np
 
+from rodjax.dynamics.coarseness import turns_of_elements
 from rodjax.dynamics.run import Run, join_runs
 from rodjax.files.object_reading import ObjectReader
 from rodjax.files.object_writing import ObjectWriter
@@ -20,9 +20,7 @@ from rodjax.files.records import fits, registry
 from rodjax.files.sealed_files import StorageError, hdf5_path, replacing
 from rodjax.files.units import Units
 from rodjax.files.versions import version
-from rodjax.numerics.compilation import compiled
 from rodjax.numerics.results import ModelWarning, Result, as_code
-from rodjax.rods.strains import curvature
 from rodjax.scenes.scene import Scene
 
 FORMAT = "rodjax run"
@@ -64,9 +62,10 @@ def write_run(
             if name not in (others["measures"] or {}) or f"measures/{name}" not in file:
                 raise StorageError(f"measure_units: '{name}' is no array among the measures")
             file[f"measures/{name}"].attrs["units"] = unit
-        # a run may be kept in less precision than its scene
-        frames = jnp.asarray(run.states.quaternion, scene.rod.length.dtype)
-        kappa = _curvatures(scene.rod, frames)
+        # a run may be kept in less precision than its scene; no program for every number of states
+        length = np.asarray(scene.rod.length)
+        frames = np.asarray(run.states.quaternion, length.dtype)
+        kappa = turns_of_elements(frames) / length[:, None]
         # derived from the quaternions: written for readers of the file, not read back
         states = file.require_group("run/states")
         write(states, "curvature", kappa, "curvature", f"rad/{units.length}")
@@ -190,6 +189,3 @@ def check_run(scene: Scene, run: Run) -> None:
         floats = {x.dtype.name for x in jax.tree.leaves(part) if x.dtype.kind == "f"}
         if len(floats) > 1:
             raise StorageError(f"{place}: holds numbers of mixed precision, {sorted(floats)}")
-
-
-_curvatures = compiled(jax.vmap(curvature, (None, 0)))

@@ -173,11 +173,11 @@ class Contact(eqx.Module):
         if self.law.uses_mass() and rod.mass is None:
             raise ValueError("mass: this contact law scales with the rod's mass per length")
         check_law(self.law, self.cutoff, rod)
-        length = jnp.sum(rod.length)
-        reach = self.excluded
-        if not all_known((length, reach)):
+        reach = self.cutoff if self.exclusion is None else self.exclusion
+        if not all_known((rod.length, reach)):
             return
-        reach, length = np.asarray(reach), np.asarray(length)
+        reach, length = np.asarray(reach), np.sum(np.asarray(rod.length))
+        reach = 1.5 * reach if self.exclusion is None else reach
         if np.any(reach >= length):
             name = "cutoff" if self.exclusion is None else "exclusion"
             raise ValueError(

@@ -1,6 +1,9 @@
 """Whether a contact law acts where it is meant to: looked at once, when a scene is made."""
 
+from typing import Any
+
 import jax
+import jax.core
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -22,11 +25,16 @@ def check_law(law: AbstractLaw, cutoff: Float[Array, ""], rod: Rod) -> None:
     leaves = jax.tree.leaves((law, cutoff, rod.diameter, rod.mass))
     if not all_known(leaves) or np.ndim(cutoff) != 0:
         return
-    of_both = lambda v: jnp.asarray([np.min(v), np.max(v)], rod.position.dtype)
-    with jax.ensure_compile_time_eval():
-        mass = None if rod.mass is None else of_both(np.asarray(rod.mass))
-        pair = PairProperties(of_both(np.asarray(rod.diameter)), mass)
-        psi, among, alone, tried, smallest, extent = _try(law, cutoff, pair)
+    # numpy's: in traced code an operation of jax would be traced
+    of_both = lambda v: np.asarray([np.min(v), np.max(v)], rod.position.dtype)
+    mass: Any = None if rod.mass is None else of_both(np.asarray(rod.mass))
+    diameter: Any = of_both(np.asarray(rod.diameter))
+    pair = PairProperties(diameter, mass)
+    # evaluated also where a scene is made in traced code
+    with jax.core.eval_context():
+        psi, among, alone, tried, smallest, extent = jax.tree.map(
+            np.asarray, _try(law, cutoff, pair)
+        )
     limit = float(cutoff)
     if extent is not None and limit <= np.max(extent):
         raise ValueError(

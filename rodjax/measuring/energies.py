@@ -5,6 +5,7 @@ from jaxtyping import Array, Float
 
 from rodjax.equations.imbalance import of_contact
 from rodjax.interactions.roles import Role
+from rodjax.numerics.compilation import compiled
 from rodjax.rods import inertia
 from rodjax.rods.rod import Rod
 from rodjax.rods.state import NodeMotion, State
@@ -34,6 +35,7 @@ def _force_energy_density(rod: Rod, state: State) -> Float[Array, "n 3"]:
     return jnp.where(gives, 0.5 * gap**2 / jnp.where(gives, rod.compliance, 1.0), 0.0)
 
 
+@compiled
 def strain_energy_density(rod: Rod, state: State) -> Float[Array, " n"]:
     """Strain energy per length of the elements of a rod in this state [J/m].
 

@@ -10,13 +10,16 @@ numerical loss of the time integration plus the error of the quadrature.
 
 from typing import NamedTuple
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jax import lax
+import numpy as np
 from jaxtyping import Array, Float
 
 from rodjax.dynamics.run import Run
+from rodjax.inputs.validation import all_known
 from rodjax.interactions.roles import Role
+from rodjax.measuring.blocks import scan_states
 from rodjax.measuring.energies import (
     axial_energy,
     bending_energy,
@@ -31,7 +34,6 @@ from rodjax.measuring.energies import (
 )
 from rodjax.measuring.reactions import Reactions, reactions, unbalanced
 from rodjax.numerics import rotations
-from rodjax.numerics.compilation import compiled
 from rodjax.rods.state import State
 from rodjax.scenes.holds import rows_at
 from rodjax.scenes.scene import Found, Scene, projectors
@@ -121,7 +123,7 @@ class Ledger(NamedTuple):
 
         For a motion that nothing drives compare `residual` with an energy of the motion instead.
         """
-        return jnp.max(jnp.abs(self.residual)) / jnp.abs(self.work[-1])
+        return abs(self.residual).max() / abs(self.work[-1])  # of numpy's arrays by numpy
 
 
 class _Acting(NamedTuple):
@@ -135,8 +137,11 @@ class _Acting(NamedTuple):
     contact_damping: Float[Array, "nodes 6"] | None  # what of it is lost
 
 
-def _acting(scene: Scene, state: State, found: Found) -> _Acting:
+@eqx.filter_jit  # traced once, for its shapes and for the scan
+def _acting(scene: Scene, state: State) -> tuple[_Acting, Found]:
+    """What acts, and what the interactions found, searched for once for forces and energies."""
     motion, by_role, lost = node_motion(state), {}, {}
+    found = scene.find(state.position)
 
     def book(column, role, wrench):
         column[role] = column[role] + wrench if role in column else wrench
@@ -151,7 +156,7 @@ def _acting(scene: Scene, state: State, found: Found) -> _Acting:
             book(lost, column, one.lost(scene.rod, motion, its, exerted))
         elif one.role is Role.DAMPING:
             book(lost, Role.DAMPING, exerted)
-    return _Acting(
+    whole = _Acting(
         unbalanced(scene, state, tuple(acting)),
         by_role.get(Role.DRIVEN),
         by_role.get(Role.DRAG),
@@ -159,6 +164,7 @@ def _acting(scene: Scene, state: State, found: Found) -> _Acting:
         by_role.get(Role.CONTACT),
         lost.get(Role.CONTACT),
     )
+    return whole, found
 
 
 def _increment(before: State, after: State) -> Float[Array, "nodes 6"]:
@@ -187,7 +193,6 @@ def _added_mass_loss(scene: Scene, before: State, after: State) -> Float[Array, 
     return loss
 
 
-@compiled
 def ledger(scene: Scene, run: Run) -> Ledger:
     """Energy ledger of a run of the scene over its saved states.
 
@@ -198,54 +203,63 @@ def ledger(scene: Scene, run: Run) -> Ledger:
     therefore loses half of its first interval's work. So does one whose velocity jumps: what it
     does in the jolt is not booked (give it a `Smooth` schedule).
     """
-    states = run.states
+    if not all_known(scene, run):
+        return _booked(jnp, run, *_intervals(scene, run))
+    # in numpy: programs fit any number of states but for this, which costs nothing
+    run = jax.tree.map(np.asarray, run)
+    booked = _booked(np, run, *jax.tree.map(np.asarray, _intervals(scene, run)))
+    return jax.tree.map(jax.device_put, booked)
 
-    def energies(state, found):
-        parts = bending_energy, torsion_energy, axial_energy, kinetic_energy, gravity_energy
-        values = [part(scene, state) for part in parts]
-        return jnp.stack([*values, stored(scene, state, Role.CONTACT, found)])
 
-    def interval(carry, after):
-        before, old = carry
-        found = scene.find(after.position)
-        new = _acting(scene, after, found)
-        moved = _increment(before, after)
-        zero = jnp.zeros((), moved.dtype)
+def _intervals(scene: Scene, run: Run) -> tuple[Float[Array, "k 6"], Float[Array, "k 6"]]:
+    """Works and losses of the intervals, that from the first state to itself first; energies."""
+    first = jax.tree.map(lambda leaf: leaf[0], run.states)
+    # from the first state to itself what acted before does not matter
+    shapes = eqx.filter_eval_shape(_acting, scene, first)[0]
+    nothing = jax.tree.map(lambda leaf: jnp.asarray(np.zeros(leaf.shape), leaf.dtype), shapes)
+    return _interval((first, nothing), run.states, scene)[1]
 
-        def work(a, b):
-            return zero if a is None else 0.5 * jnp.sum((a + b) * moved)
 
-        held_moved = rows_at(moved, scene.held_nodes)
-        constrained = jnp.einsum("eij,ej->ei", projectors(scene, before.time), held_moved)
-        gains = jnp.stack(
-            [
-                0.5 * jnp.sum((old.ends + new.ends) * constrained),
-                work(old.loads, new.loads),
-                -work(old.contact, new.contact),
-                _added_mass_loss(scene, before, after) - work(old.drag, new.drag),
-                -work(old.damping, new.damping),
-                -work(old.contact_damping, new.contact_damping),
-            ]
-        )
-        return (after, new), (gains, energies(after, found))
+@scan_states
+def _interval(carry, after: State, scene: Scene):
+    before, old = carry
+    new, found = _acting(scene, after)
+    moved = _increment(before, after)
+    zero = jnp.zeros((), moved.dtype)
 
-    # the first interval is from the first state to itself, so what acted before does not matter
-    first = run.state(0)
-    nothing = jax.tree.map(
-        lambda leaf: jnp.zeros(leaf.shape, leaf.dtype),
-        jax.eval_shape(lambda: _acting(scene, first, scene.find(first.position))),
+    def work(a, b):
+        return zero if a is None else 0.5 * jnp.sum((a + b) * moved)
+
+    held_moved = rows_at(moved, scene.held_nodes)
+    constrained = jnp.einsum("eij,ej->ei", projectors(scene, before.time), held_moved)
+    gains = jnp.stack(
+        [
+            0.5 * jnp.sum((old.ends + new.ends) * constrained),
+            work(old.loads, new.loads),
+            -work(old.contact, new.contact),
+            _added_mass_loss(scene, before, after) - work(old.drag, new.drag),
+            -work(old.damping, new.damping),
+            -work(old.contact_damping, new.contact_damping),
+        ]
     )
-    _, (gains, energy) = lax.scan(interval, (first, nothing), states)
+    parts = bending_energy, torsion_energy, axial_energy, kinetic_energy, gravity_energy
+    values = [part(scene, after) for part in parts]
+    energies = jnp.stack([*values, stored(scene, after, Role.CONTACT, found)])
+    return (after, new), (gains, energies)
+
+
+def _booked(xp, run: Run, gains, energy) -> Ledger:
+    """The ledger of works and losses of the intervals and energies; `xp` is numpy or jax's."""
     intervals = gains.shape[0] - 1
     steps = run.infos.projection_loss
     lost = steps.reshape(intervals, steps.shape[0] // max(intervals, 1)).sum(1)
-    lost = jnp.concatenate([jnp.zeros_like(lost[:1]), lost])
-    total = jnp.cumsum(jnp.concatenate([gains, lost[:, None]], 1), 0)
+    lost = xp.concatenate([xp.zeros((1,), lost.dtype), lost])
+    total = xp.cumsum(xp.concatenate([gains, lost[:, None]], 1), 0)
     total = total - total[:1]
     drive_work, load_work, contact_work, drag, damping, contact_loss, projection = total.T
     bending, torsion, axial, kinetic, gravity, contact = energy.T
     return Ledger(
-        states.time,
+        run.states.time,
         drive_work,
         load_work,
         bending,

@@ -8,13 +8,13 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Float
 
-from rodjax.constraints.ends import Turn
 from rodjax.dynamics.run import Run
 from rodjax.inputs.argument_types import AnyArray
 from rodjax.inputs.validation import all_known
 from rodjax.interactions import contact_forces
 from rodjax.interactions.contact_forces import ContactReport
 from rodjax.measuring import energy
+from rodjax.measuring.blocks import over_states
 from rodjax.numerics import rotations
 from rodjax.numerics.compilation import compiled
 from rodjax.rods import balance, topology
@@ -42,30 +42,37 @@ def turns(
         ValueError: a drive does not turn about the tangent of its end in the rod's placing, so
             that its angle is no number of turns (checked outside traced code).
     """
-    frames = (scene.rod.quaternion[0], scene.rod.quaternion[-1])
-    names = ("first_end", "last_end")
+    _check_counted(scene)
+    as_time = lambda t: t if isinstance(t, jax.Array) else jnp.asarray(t, float)
+    return _turns(scene, as_time(time), as_time(start))
+
+
+@compiled
+def _turns(scene, time, start):
     total = jnp.zeros((), scene.rod.position.dtype)
-    for name, end, frame, sign in zip(names, scene.ends, frames, (-1, 1), strict=True):
+    for end, node, sign in zip(scene.ends, (0, -1), (-1, 1), strict=True):
         turn = end.rotation
         if turn is None:
             continue
-        along = _along(name, turn, frame)
-        angle = turn.angle(jnp.asarray(time)) - turn.angle(jnp.asarray(start))
-        total = total + sign * along * angle / (2 * jnp.pi)
+        # 1 or -1: whether it turns about the tangent or against it
+        along = jnp.sum(turn.axis * rotations.tangent_director(scene.rod.quaternion[node]))
+        total = total + sign * along * (turn.angle(time) - turn.angle(start)) / (2 * jnp.pi)
     return total
 
 
-def _along(name: str, turn: Turn, frame: Float[Array, "4"]) -> Float[Array, ""]:
-    """1 or -1: whether the drive turns about the tangent or against it."""
-    cosine = jnp.sum(turn.axis * rotations.tangent_director(frame))
-    if not all_known(cosine):
-        return cosine
-    if np.abs(np.abs(np.asarray(cosine)) - 1) > 1e3 * float(jnp.finfo(cosine.dtype).eps):
-        raise ValueError(
-            f"{name}.rotation: turns are counted for a drive about the end's tangent only;"
-            f" its axis makes an angle of {float(jnp.degrees(jnp.arccos(cosine))):.3g} degrees"
-        )
-    return cosine
+def _check_counted(scene: Scene) -> None:
+    """Raise ValueError unless the ends are turned about their tangents (outside traced code)."""
+    for name, node, end in scene.holds[:2]:
+        if end.rotation is None or not all_known(end.rotation.axis, scene.rod.quaternion):
+            continue
+        w, x, y, z = np.asarray(scene.rod.quaternion)[node]
+        tangent = np.array([2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)])
+        cosine = np.sum(np.asarray(end.rotation.axis) * tangent)
+        if np.abs(np.abs(cosine) - 1) > 1e3 * np.finfo(cosine.dtype).eps:
+            raise ValueError(
+                f"{name}.rotation: turns are counted for a drive about the end's tangent only;"
+                f" its axis makes an angle of {np.degrees(np.arccos(cosine)):.3g} degrees"
+            )
 
 
 class Linking(NamedTuple):
@@ -98,37 +105,36 @@ def linking(scene: Scene, run: Run, extension: float | None = None) -> Linking:
     The drives are those of the scene; `extension` is that of `topology.writhe` [m]. The writhe of a
     ring (`scene.closed`) is that of its closed line: extensions would cross where its ends meet.
     """
-    applied = jax.vmap(lambda t: turns(scene, t, run.times[0]))(run.times)
-    twists, integrals, writhes = _topology(scene, run.states, extension)
-    return Linking(run.times, twists, integrals, writhes, applied)
+    _check_counted(scene)
+    first = run.state(0).time
+    return Linking(run.times, *_topology(run.states, scene, extension, first))
 
 
-@compiled
-def _topology(scene, states, extension):
-    closed = scene.closed
-    one = lambda s: (twist(s), twist_eq15(scene.rod, s), writhe_of(closed, s, extension))
-    return lax.map(one, states)
+@over_states
+def _topology(state, scene, extension, first):
+    writhes = writhe_of(scene.closed, state, extension)
+    applied = turns(scene, state.time, first)
+    return twist(state), twist_eq15(scene.rod, state), writhes, applied
 
 
-@compiled
 def contacts(scene: Scene, run: Run) -> ContactReport:
     """Contact forces of a scene, their sum and the smallest gap at every saved time of a run.
 
     Raises:
         ValueError: the scene has no contact.
     """
-    contact = scene.contact
-    if contact is None:
+    if scene.contact is None:
         raise ValueError("scene: it has no contact to report")
+    return _contacts(run.states, scene)
 
-    def one(s):
-        found = contact_forces.report(contact, scene.rod, s.position, s.velocity, scene.closed)
-        # what is not a number is near nothing, but not for that free of forces
-        unknown = 0 * jnp.sum(s.position)
-        force, total, smallest = (x + unknown for x in (found.force, found.total, found.smallest))
-        return ContactReport(force, total, smallest, found.overflow)
 
-    return lax.map(one, run.states)
+@over_states
+def _contacts(s, scene):
+    found = contact_forces.report(scene.contact, scene.rod, s.position, s.velocity, scene.closed)
+    # what is not a number is near nothing, but not for that free of forces
+    unknown = 0 * jnp.sum(s.position)
+    force, total, smallest = (x + unknown for x in (found.force, found.total, found.smallest))
+    return ContactReport(force, total, smallest, found.overflow)
 
 
 def stretch_error(rod: Rod, state: State) -> Float[Array, ""]:
@@ -223,6 +229,12 @@ def first_crossing(
         level: in the unit of the values.
         rates: derivatives of the values by time.
     """
+    level = level if isinstance(level, jax.Array) else jnp.asarray(level, values.dtype)
+    return _first_crossing(times, values, level, rates)
+
+
+@compiled
+def _first_crossing(times, values, level, rates):
     reached = values >= level
     j = jnp.argmax(reached)  # first true
     i = jnp.maximum(j - 1, 0)
@@ -268,6 +280,7 @@ def _hermite_root(cubic, level):
     )
 
 
+@compiled
 def time_of_maximum(
     times: Float[AnyArray, " k"], values: Float[AnyArray, " k"]
 ) -> Float[Array, ""]:
@@ -298,8 +311,12 @@ def buckling_time(scene: Scene, run: Run) -> Float[Array, ""]:
 
     Section 4.3 of Goyal, Perkins & Lee.
     """
-    torsion = lax.map(lambda s: energy.torsion_energy(scene, s), run.states)
-    return time_of_maximum(run.times, torsion)
+    return time_of_maximum(run.times, _torsion(run.states, scene))
+
+
+@over_states
+def _torsion(state, scene):
+    return energy.torsion_energy(scene, state)
 
 
 def apex_orthogonal_time(
@@ -309,5 +326,8 @@ def apex_orthogonal_time(
 
     The axis and the origin of the line are those of `apex`, at every saved state of the run.
     """
-    angle = lax.map(lambda s: apex_angle(s, axis, origin), run.states)
-    return first_crossing(run.times, angle, 0.5 * jnp.pi)
+    axis = jnp.asarray(axis, run.states.position.dtype)
+    return first_crossing(run.times, _apex_angles(run.states, axis, origin), 0.5 * jnp.pi)
+
+
+_apex_angles = over_states(apex_angle)

@@ -68,6 +68,10 @@ def jit(function):
             return inner(*arguments, **named)
         return program()(*arguments, **named)
 
+    # for what is compiled later: `lower(...)` is the part that Python does, `.compile()` of what it
+    # returns the backend's, without Python's lock; calls with such arguments then find the program
+    lower = lambda *arguments, **named: program().lower(*arguments, **named)
+    setattr(call, "lower", lower)  # noqa: B010 (an attribute that its type does not have)
     return call
 
 

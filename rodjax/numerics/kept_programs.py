@@ -9,9 +9,9 @@ import jax
 import jaxlib.version
 from jax.experimental.compilation_cache import compilation_cache
 
-# Programs that compile faster are compiled again: reading them back would take about as long [s].
-# JAX's own default is the second number.
-_WORTH_KEEPING, _OF_JAX = 0.3, 1.0
+# Programs that compile faster are compiled again [s]. From a disk even the smallest is read in a
+# third of the time, and a run has a hundred of them; a bucket's address may be far away.
+_ON_DISK, _FAR_AWAY, _OF_JAX = 0.0, 0.3, 1.0
 
 
 def keep_compiled(folder: str | os.PathLike | None = None) -> str:
@@ -50,7 +50,8 @@ def keep_compiled(folder: str | os.PathLike | None = None) -> str:
         place = str(path)
         jax.config.update("jax_compilation_cache_dir", place)
     if getattr(jax.config, "jax_persistent_cache_min_compile_time_secs", None) == _OF_JAX:
-        jax.config.update("jax_persistent_cache_min_compile_time_secs", _WORTH_KEEPING)
+        least = _FAR_AWAY if "://" in place else _ON_DISK
+        jax.config.update("jax_persistent_cache_min_compile_time_secs", least)
     # what was compiled before would have settled that there is no cache
     compilation_cache.reset_cache()
     return place

@@ -4,14 +4,16 @@ A rotation is known modulo whole turns only: what an end turns in one step must 
 turn, else the step would find it turned by less, or not at all, and be none the wiser.
 """
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from rodjax.constraints import ends
 from rodjax.numerics import rotations
+from rodjax.numerics.compilation import compiled
 from rodjax.rods.state import State
-from rodjax.scenes.scene import Scene, projectors
+from rodjax.scenes.scene import Scene
 
 # Largest turn of an end in one step [rad]: half a turn less the rounding of its schedule.
 LARGEST_TURN = np.pi * (1 - 1e-6)
@@ -52,7 +54,7 @@ def astray(scene: Scene, states: State, allowed: float) -> bool:
         allowed: what the tolerances of all steps sum up to, in element lengths and radians.
     """
     times = np.asarray(states.time)
-    switches = sorted(float(t) for t in scene.switch_times if times[0] < t < times[-1])
+    switches = sorted(t for t in map(float, scene.switch_times) if times[0] < t < times[-1])
     marks = [-np.inf, *switches, np.inf]
     for before, after in zip(marks[:-1], marks[1:], strict=True):
         inside = np.flatnonzero((times >= before) & (times <= after)).tolist()
@@ -63,23 +65,29 @@ def astray(scene: Scene, states: State, allowed: float) -> bool:
 
 def _off(scene: Scene, states: State, first: int, last: int) -> float:
     """How far an end is off its schedule between two saved states, see `_ASTRAY`."""
-    # not one program, which every new scene would compile anew
-    start, stop = states.time[first], states.time[last]
+    times = np.asarray(states.time)
+    start, stop = times[first], times[last]
     # the projector for the last step, not for one that would begin at its end
-    late = jnp.nextafter(stop, start)
-    held = np.asarray(projectors(scene, start)), np.asarray(projectors(scene, late))
+    late = np.nextafter(stop, start)
     length, worst = float(np.mean(np.asarray(scene.rod.length))), 0.0
-    for k, (_, node, end) in enumerate(scene.holds):
-        if not np.allclose(held[0][k], held[1][k]):
-            continue
+    for _, node, end in scene.holds:
         index = int(node)
-        frames = states.quaternion[first, index], states.quaternion[last, index]
-        wanted = ends.increments(end, start, stop, frames[0])
-        moved = states.position[last, index] - states.position[first, index]
-        shift = held[0][k][:3, :3] @ np.asarray(moved - wanted[:3])
-        worst = max(worst, float(np.linalg.norm(shift)) / length)
-        if np.allclose(held[0][k][3:, 3:], np.eye(3)):
-            there = rotations.multiply(frames[0], rotations.exponential(wanted[3:]))
-            turn = np.asarray(rotations.multiply(rotations.conjugate(there), frames[1]))
+        positions = np.asarray(states.position)[[first, last], index]
+        frames = np.asarray(states.quaternion)[[first, last], index]
+        out = _followed(end, start, late, stop, *positions, *frames)
+        before, after, shift, turn = jax.tree.map(np.asarray, out)
+        if not np.allclose(before, after):
+            continue
+        worst = max(worst, float(np.linalg.norm(before[:3, :3] @ shift)) / length)
+        if np.allclose(before[3:, 3:], np.eye(3)):
             worst = max(worst, 2 * float(np.arctan2(np.linalg.norm(turn[1:]), turn[0])))
     return worst
+
+
+@compiled  # of an end by itself: not anew for every scene
+def _followed(end, start, late, stop, position, reached, frame, turned):
+    """Projectors from `start` and from `late` on; how far the end is off in place and frame."""
+    wanted = ends.increments(end, start, stop, frame)
+    there = rotations.multiply(frame, rotations.exponential(wanted[3:]))
+    turn = rotations.multiply(rotations.conjugate(there), turned)
+    return end.projector(start), end.projector(late), reached - position - wanted[:3], turn
