@@ -150,7 +150,8 @@ def contact(whole: rx.Rod, size: Size) -> rx.Contact:
 
     Contact points lie on chords between the segments' ends, inside of a bend kappa = sin^2(theta)/R
     by kappa l^2/12 on average. So the strands are kept kappa l^2/6 farther apart, and since that
-    goes with the angle too, M and T are l^2 sin^2(theta)/(12 R^2 cos 2 theta) above the theory's.
+    goes with the angle too, M is l^2 sin^2(theta)/(12 R^2 cos 2 theta) above the theory's (half a
+    hundredth here, 4 % with as few segments as `Contact.solid` chooses) and T about as much.
     """
     solid = rx.Contact.solid(whole, size.force, indentation=size.indentation, relaxation=RELAXATION)
     points = int(np.ceil(solid.segments * solid.points_per_segment / size.segments))
