@@ -270,6 +270,10 @@ class Equations(eqx.Module, Generic[Scheme]):
         shift = jnp.max(jnp.abs(dx[:, :3])) / self.scheme.lever(self.scene.rod)
         return jnp.maximum(shift, jnp.max(jnp.abs(dx[:, 6:])))
 
+    def rotation(self, dx):
+        """Largest rotation [rad], all that the constraint of the elements is not linear in."""
+        return jnp.sqrt(jnp.max(jnp.sum(dx[:, 6:] ** 2, 1)))
+
 
 def step_equations(
     scene: Scene,

@@ -10,6 +10,7 @@ An equations object has
     lift(x, dx) -> d(x)                               the same to first order,
     limit(x, dx) -> scale in (0, 1]                   how much of the increment is safe,
     size(dx) -> scalar                                the increment in units of the tolerance,
+    rotation(dx) -> scalar                            its part that constraints are curved in,
     iterate(x, tolerance, max_iterations) -> x, info  by one of the iterations below,
 as far as what is called needs them.
 """
@@ -33,6 +34,10 @@ SOLUTION = "newton_solution"
 # Contraction above which a held derivative is taken anew.
 _HELD = 0.2
 
+# What an increment may leave of a constraint, at least a few units of rounding, and how many more
+# increments are made for its sake: where rounding leaves it larger they would go on for ever.
+_LEFT_OF_CONSTRAINT, _ROUNDING, _FINER = 1e-12, 4, 2
+
 # How many increments may fail to shrink before a step is given up, to be tried again by a shorter.
 PATIENCE = 4
 
@@ -49,8 +54,10 @@ class _Loop(NamedTuple):
     iterations: Int[Array, ""]
     size: Float[Array, ""]
     contraction: Float[Array, ""]  # of the last increment over the one before
+    turned: Float[Array, ""]  # by the increments since the derivative was taken
     slow: Int[Array, ""]
-    converged: Bool[Array, ""]
+    close: Int[Array, ""]  # increments that ended within the tolerance, the last among them
+    exact: Bool[Array, ""]  # whether constraints are kept
     finite: Bool[Array, ""]
 
 
@@ -62,10 +69,15 @@ def iterate(
     With sizes s_{k-1}, s_k of the last two increments and q = s_k/s_{k-1} the error left is about
     s_k q/(1 - q) or less (it is quadratic in s_k near a solution). Gives up early when so many
     increments in all as `patience` says have failed to shrink.
+
+    A constraint that is linear but for rotations is left with the product of the last rotation
+    and those since the derivative was taken (half its square just after it was). Where that may
+    be above 1e-12 the iteration goes on, which the tolerance alone would not ask for.
     """
 
     def body(loop: _Loop) -> _Loop:
-        return _updated(equations, loop, equations.newton_increment(loop.x), tolerance)
+        fresh = loop._replace(turned=jnp.zeros_like(loop.turned))
+        return _updated(equations, fresh, equations.newton_increment(loop.x), tolerance)
 
     going = lambda loop: _unfinished(loop, max_iterations, patience)
     return _outcome(lax.while_loop(going, body, _beginning(x)))
@@ -83,7 +95,8 @@ def iterate_held(equations, x, tolerance, max_iterations) -> tuple[Any, NewtonIn
 
         def again(state):
             first, inner = state
-            return _unfinished(inner, max_iterations) & (first | (inner.contraction < _HELD))
+            shrinking = (inner.contraction < _HELD) | (inner.close > 0)
+            return _unfinished(inner, max_iterations) & (first | shrinking)
 
         def correct(state):
             inner = state[1]
@@ -92,7 +105,8 @@ def iterate_held(equations, x, tolerance, max_iterations) -> tuple[Any, NewtonIn
             # follow shrink by 2 c s_0 each
             return jnp.asarray(False), _updated(equations, inner, dx, tolerance, growth=2.0)
 
-        return lax.while_loop(again, correct, (jnp.asarray(True), loop))[1]
+        fresh = loop._replace(turned=jnp.zeros_like(loop.turned))
+        return lax.while_loop(again, correct, (jnp.asarray(True), fresh))[1]
 
     going = lambda loop: _unfinished(loop, max_iterations)
     return _outcome(lax.while_loop(going, body, _beginning(x)))
@@ -101,7 +115,7 @@ def iterate_held(equations, x, tolerance, max_iterations) -> tuple[Any, NewtonIn
 def _beginning(x) -> _Loop:
     no, zero = jnp.asarray(False), jnp.asarray(0, jnp.int32)
     one = jnp.ones((), x.dtype)
-    return _Loop(x, zero, one * jnp.inf, one, zero, no, ~no)
+    return _Loop(x, zero, one * jnp.inf, one, 0 * one, zero, zero, no, ~no)
 
 
 def _updated(equations, loop: _Loop, dx, tolerance, growth=1.0) -> _Loop:
@@ -111,25 +125,31 @@ def _updated(equations, loop: _Loop, dx, tolerance, growth=1.0) -> _Loop:
     contraction = jnp.where(loop.iterations > 0, full / loop.size, 1.0)
     ahead = growth * contraction
     left = full * jnp.minimum(ahead / jnp.maximum(1 - ahead, 0.5), 1.0)
+    turn = equations.rotation(dx)
+    curved = turn * (0.5 * turn + loop.turned)
+    close = (left <= tolerance) & (scale >= 1.0)
     slow = (contraction > 0.7) & (loop.iterations > 0) & (scale >= 1.0)
     return _Loop(
         equations.retract(loop.x, scale * dx),
         loop.iterations + 1,
         full,
         contraction,
+        loop.turned + turn,
         loop.slow + slow.astype(jnp.int32),
-        (left <= tolerance) & (scale >= 1.0),
+        jnp.where(close, loop.close + 1, 0),
+        curved <= max(_LEFT_OF_CONSTRAINT, _ROUNDING * jnp.finfo(curved.dtype).eps),
         jnp.isfinite(full),
     )
 
 
 def _unfinished(loop: _Loop, max_iterations, patience: int = PATIENCE):
-    going = ~loop.converged & loop.finite & (loop.iterations < max_iterations)
+    done = (loop.close > 0) & (loop.exact | (loop.close > _FINER))
+    going = ~done & loop.finite & (loop.iterations < max_iterations)
     return going & (loop.slow < patience)
 
 
 def _outcome(end: _Loop) -> tuple[Any, NewtonInfo]:
-    result = jnp.where(end.converged, Result.SUCCESS, Result.NEWTON_FAILED)
+    result = jnp.where(end.close > 0, Result.SUCCESS, Result.NEWTON_FAILED)
     result = jnp.where(end.finite, result, Result.NON_FINITE)
     return end.x, NewtonInfo(result.astype(jnp.int32), end.iterations)
 

@@ -264,6 +264,10 @@ class PaperEquations(eqx.Module):
     def size(self, dx):
         return jnp.max(jnp.abs(dx))
 
+    def rotation(self, dx):
+        """Its constraint is one of rates, which no iteration keeps better than the tolerance."""
+        return jnp.zeros((), dx.dtype)
+
 
 def _mix(weight, old, new):
     return weight * old + (1 - weight) * new
