@@ -26,7 +26,7 @@ ENDS = {
 
 @jax.jit
 def solutions(first, last, bent, b):
-    """The matrix, and the solutions by the anchored system and its transpose."""
+    """The matrix, the anchored system's, and solutions by that and its transpose."""
     rod = straight_rod(1.0, ELEMENTS, UNIT_SECTION)
     position, quaternion, force = random_configuration(rod, 3)
     straight = rod.position, rod.quaternion, jnp.zeros_like(force)
@@ -35,13 +35,13 @@ def solutions(first, last, bent, b):
     scales = Scales(jnp.asarray(0.1), jnp.asarray(100.0))
     tangent = element_tangent(rod, *state)
     node = jnp.zeros((ELEMENTS + 1, 6, 6))
-    eye = jnp.eye(6)
-    nodes = (0, ELEMENTS)
-    held = lambda *both: CoupledSystem(assemble(rod, tangent, node, jnp.stack(both), nodes, scales))
-    system = AnchoredSystem(held(first, last), held(eye, 0 * eye), nodes)
+    built = lambda *held: CoupledSystem(assemble(rod, tangent, node, *held, scales))
+    held = jnp.stack([first, last]), (0, ELEMENTS)
+    system = AnchoredSystem(built(held[0][:0], ()), *held, clamped=False)
     columns = jnp.eye(b.size).reshape(b.size, *b.shape)
-    matrix = jax.vmap(system.multiply)(columns).reshape(b.size, b.size).T
-    return matrix, system.solve(b).ravel(), system.solve_transpose(b).ravel()
+    matrix = lambda system: jax.vmap(system.multiply)(columns).reshape(b.size, b.size).T
+    solved = system.solve(b).ravel(), system.solve_transpose(b).ravel()
+    return matrix(built(*held)), matrix(system), *solved
 
 
 @pytest.mark.parametrize("bent", [False, True])
@@ -49,6 +49,7 @@ def solutions(first, last, bent, b):
 def test_solutions_are_those_of_dense_algebra(ends, bent):
     (b,) = random_arrays(1, (ELEMENTS + 1, 9))
     both = [end.projector(jnp.zeros(())) for end in ends]
-    matrix, solved, transposed = solutions(*both, jnp.asarray(bent), b)
+    matrix, same, solved, transposed = solutions(*both, jnp.asarray(bent), b)
+    np.testing.assert_allclose(same, matrix, atol=1e-12 * np.max(np.abs(matrix)))
     assert relative_difference(solved, np.linalg.solve(matrix, b.ravel())) < 1e-10
     assert relative_difference(transposed, np.linalg.solve(matrix.T, b.ravel())) < 1e-10

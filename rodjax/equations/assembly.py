@@ -15,6 +15,11 @@ from rodjax.rods.balance import ElementTangent, scatter
 from rodjax.rods.rod import Rod
 from rodjax.scenes.holds import Node, with_part
 
+# Rows of a block in the order of its columns: the constraint of an element, which stands before
+# the balance of force, belongs to its internal force, which stands behind the displacement. So
+# ordered the matrix is symmetric where forces have a potential. Its own inverse.
+AS_COLUMNS = (3, 4, 5, 0, 1, 2, 6, 7, 8)
+
 
 class Scales(NamedTuple):
     """Units that make the rows and columns of a Newton system dimensionless."""

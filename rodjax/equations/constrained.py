@@ -11,6 +11,7 @@ from jaxtyping import Array, Float
 
 from rodjax.constraints import ends
 from rodjax.equations.assembly import Scales, assemble, residual_rows
+from rodjax.equations.coupled import CoupledSystem
 from rodjax.interactions.load import total_wrench
 from rodjax.numerics import newton
 from rodjax.numerics.block_tridiagonal import BlockTridiagonal
@@ -31,7 +32,7 @@ class Constrained(eqx.Module):
     projectors: Float[Array, "h 6 6"]
     scales: Scales
     mass: Float[Array, "nodes 6 6"]
-    blocks: BlockTridiagonal  # of `multiply`, without derivative
+    system: CoupledSystem  # of `multiply`, without derivative
 
     @classmethod
     def of(cls, scene: Scene, state: State) -> "Constrained":
@@ -45,8 +46,8 @@ class Constrained(eqx.Module):
         scales = Scales(jnp.mean(rod.length), jnp.mean(matrix[:, 0, 0]) * jnp.mean(rod.length))
         tangent = balance.constraint_tangent(rod, kinematics)
         blocks = _release(assemble(rod, tangent, matrix, both, scene.held_nodes, scales), rigid)
-        blocks = lax.stop_gradient(blocks)
-        return cls(scene, state, kinematics, rigid, both, scales, matrix, blocks)
+        system = CoupledSystem(lax.stop_gradient(blocks))
+        return cls(scene, state, kinematics, rigid, both, scales, matrix, system)
 
     def multiply(self, x: Float[Array, "nodes 9"]) -> Float[Array, "nodes 9"]:
         """The matrix times scaled rates and multipliers, without the matrix.
@@ -66,11 +67,11 @@ class Constrained(eqx.Module):
 
     def solve(self, b: Float[Array, "nodes 9"]) -> Float[Array, "nodes 9"]:
         """Solution of the scaled system."""
-        return _refined(self.blocks, b)
+        return _refined(self.system, b)
 
     def solve_transpose(self, b: Float[Array, "nodes 9"]) -> Float[Array, "nodes 9"]:
         """Solution of the transposed one."""
-        return _refined(self.blocks.transpose(), b)
+        return _refined(self.system.transpose(), b)
 
     def rates(self, wrench, constraint, prescribed):
         """Rates (n+1, 6) and multipliers (n, 3) for balance, constraint and end right sides."""
@@ -133,11 +134,11 @@ class _LinearEquations(eqx.Module):
         return dx
 
 
-def _refined(matrix: BlockTridiagonal, b: Float[Array, "nodes 9"]) -> Float[Array, "nodes 9"]:
+def _refined(system: CoupledSystem, b: Float[Array, "nodes 9"]) -> Float[Array, "nodes 9"]:
     """Solution with one step of iterative refinement."""
-    factors, columns = matrix.factorize(), b[:, :, None]
-    refine = lambda _, x: x + factors.solve(columns - matrix.multiply(x))
-    return lax.fori_loop(0, 2, refine, jnp.zeros_like(columns))[:, :, 0]
+    eliminated = system.eliminate()
+    refine = lambda _, x: x + eliminated.solve(b - system.multiply(x))
+    return lax.fori_loop(0, 2, refine, jnp.zeros_like(b))
 
 
 def _release(blocks: BlockTridiagonal, rigid: Float[Array, "n 3"]) -> BlockTridiagonal:

@@ -4,20 +4,24 @@ A solver for what is in contact is chosen at run time, see `contact_levels`: the
 are eliminated as a dense system, or all nodes along the strip that the strands form.
 """
 
+from collections.abc import Callable
 from functools import partial
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import lax
 from jaxtyping import Array, Float, Int
 
+from rodjax.equations.assembly import AS_COLUMNS
 from rodjax.equations.coupling import Coupling
 from rodjax.equations.dense_elimination import DenseElimination
 from rodjax.equations.strip_elimination import StripElimination
 from rodjax.interactions.contact_levels import Level
 from rodjax.numerics.batching import one_by_one
 from rodjax.numerics.block_tridiagonal import BlockTridiagonal, Factors
+from rodjax.numerics.signs import determinant_signs, negative_in_all
 
 
 class CoupledSystem(eqx.Module):
@@ -56,7 +60,7 @@ class CoupledSystem(eqx.Module):
         """The system, of contact some pairs of which are near, ready for several right sides."""
         blocks, coupling = self.blocks, self.coupling
         if coupling is None:
-            return EliminatedApart(blocks.factorize())
+            return EliminatedApart.of(blocks)
 
         def numbers(level, blocks, coupling):
             return _elimination(level).of(blocks, coupling, level).numbers()
@@ -77,17 +81,35 @@ class CoupledSystem(eqx.Module):
             return branch
 
         level = coupling.near.level - 1
-        return Eliminated(coupling, *lax.switch(level, list(map(padded, each)), blocks, coupling))
+        found = lax.switch(level, list(map(padded, each)), blocks, coupling)
+        return Eliminated(blocks, coupling, *found)
 
 
 class EliminatedApart(eqx.Module):
     """Factors of a system without coupling."""
 
+    blocks: BlockTridiagonal
     factors: Factors
+
+    @classmethod
+    def of(cls, blocks: BlockTridiagonal) -> "EliminatedApart":
+        """Of these blocks."""
+        return cls(blocks, blocks.factorize())
 
     def solve(self, b: Float[Array, "nodes 9"]) -> Float[Array, "nodes 9"]:
         """Solution for one right side."""
         return self.factors.solve(b[:, :, None])[:, :, 0]
+
+    def sign(self) -> Float[Array, ""]:
+        """Sign of the determinant."""
+        return jnp.prod(determinant_signs(self.blocks.pivots(self.factors)))
+
+    def negative(self) -> Int[Array, ""]:
+        """Number of negative eigenvalues of a symmetric system: those of its pivots.
+
+        Symmetric with the rows of every block in the order of its columns, see `AS_COLUMNS`.
+        """
+        return negative_in_all(self.blocks.pivots(self.factors)[:, np.array(AS_COLUMNS)])
 
 
 class Eliminated(eqx.Module):
@@ -96,22 +118,35 @@ class Eliminated(eqx.Module):
     What that solver holds stands in rows for the nodes, as long as the longest that any has.
     """
 
+    blocks: BlockTridiagonal
     coupling: Coupling
     rows: Float[Array, "nodes r"]
     order: Int[Array, " k"]
 
     def solve(self, b: Float[Array, "nodes 9"]) -> Float[Array, "nodes 9"]:
         """Solution for one right side."""
+        return self._of_level(lambda elimination, b: elimination.solve(b), b)
+
+    def sign(self) -> Float[Array, ""]:
+        """Sign of the determinant."""
+        return self._of_level(lambda elimination, blocks: elimination.sign(blocks), self.blocks)
+
+    def negative(self) -> Int[Array, ""]:
+        """Number of negative eigenvalues of a symmetric system, see `EliminatedApart.negative`."""
+        return self._of_level(lambda elimination, blocks: elimination.negative(blocks), self.blocks)
+
+    def _of_level(self, asked: Callable, *given):
+        """What is asked of the solver for what is in contact."""
 
         def by(level):
-            def solved(given, b):
-                whole = given.coupling, level, given.rows, given.order
-                return _elimination(level).from_numbers(*whole).solve(b)
+            def answer(coupling, rows, order, *given):
+                return asked(_elimination(level).from_numbers(coupling, level, rows, order), *given)
 
-            return solved
+            return answer
 
         branches = [by(level) for level in self.coupling.levels]
-        return lax.switch(self.coupling.near.level - 1, branches, self, b)
+        numbers = self.coupling, self.rows, self.order
+        return lax.switch(self.coupling.near.level - 1, branches, *numbers, *given)
 
 
 def _elimination(level: Level) -> type[DenseElimination] | type[StripElimination]:
@@ -119,7 +154,7 @@ def _elimination(level: Level) -> type[DenseElimination] | type[StripElimination
 
 
 def _solve_apart(system: CoupledSystem, b):
-    return EliminatedApart(system.blocks.factorize()).solve(b)
+    return EliminatedApart.of(system.blocks).solve(b)
 
 
 def _solve_transpose_apart(system: CoupledSystem, b):

@@ -39,6 +39,11 @@ class Coupling(eqx.Module):
         swapped = jnp.transpose(self.derivative, (0, 2, 1, 4, 3))
         return Coupling(self.where, self.near, swapped, self.right, self.left, self.levels)
 
+    def symmetric(self) -> "Coupling":
+        """The symmetric part, of a rod that nothing holds."""
+        turned = jnp.transpose(self.derivative, (0, 2, 1, 4, 3))
+        return dataclasses.replace(self, derivative=0.5 * (self.derivative + turned))
+
     def multiply(self, b: Float[Array, "nodes 9"]) -> Float[Array, "nodes 9"]:
         """L K R^T b, pair by pair."""
         return self.push(interpolate(self.where, jnp.einsum("jrk,jr->jk", self.right, b)))

@@ -9,14 +9,17 @@ the joints' place: they are fewer. Its cost grows with the cube of what touches.
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import lax
 from jaxtyping import Array, Float, Int
 
+from rodjax.equations.assembly import AS_COLUMNS
 from rodjax.equations.coupling import Coupling
 from rodjax.interactions.contact import interpolate
 from rodjax.interactions.contact_forces import joints_of
 from rodjax.interactions.contact_levels import Level
 from rodjax.numerics.block_tridiagonal import BlockTridiagonal, Factors
+from rodjax.numerics.signs import determinant_signs, negative_in_all
 
 
 class DenseElimination(eqx.Module):
@@ -32,7 +35,7 @@ class DenseElimination(eqx.Module):
     def of(cls, blocks: BlockTridiagonal, coupling: Coupling, level: Level) -> "DenseElimination":
         """Of blocks + coupling, whose joints in contact the level must hold."""
         factors = blocks.factorize()
-        response = _response(factors, coupling, level)
+        response = _response(factors, coupling, level, _rows(coupling, level))
         eye = jnp.eye(level.unknowns, dtype=response.dtype)
         lu, _, order = lax.linalg.lu(eye + response)
         return cls(coupling, level, factors, lu, order)
@@ -48,6 +51,36 @@ class DenseElimination(eqx.Module):
             )
         pushed = self.coupling.push(_joints(self.coupling, right[:, 0], self.level))
         return free - self.factors.solve(pushed[:, :, None])[:, :, 0]
+
+    def sign(self, blocks: BlockTridiagonal) -> Float[Array, ""]:
+        """Sign of the determinant, of what these `blocks` are part of."""
+        later = self.order[None, :] < self.order[:, None]
+        swaps = jnp.sum(jnp.triu(later, 1), dtype=jnp.int32)
+        sign = jnp.where(swaps % 2 == 0, 1.0, -1.0) * jnp.prod(jnp.sign(jnp.diagonal(self.lu)))
+        return sign * jnp.prod(determinant_signs(blocks.pivots(self.factors)))
+
+    def negative(self, blocks: BlockTridiagonal) -> Int[Array, ""]:
+        """Number of negative eigenvalues of a symmetric system, of blocks and the coupling.
+
+        With the forces p of the contact and its displacements d as unknowns it is
+
+            [A    R   0]
+            [R^T  0  -I]
+            [0   -I   K]
+
+        of which [[0, -I], [-I, K]] has a negative eigenvalue for each p whatever K is, and leaves
+        A + R K R^T when it is eliminated. So does A, and leaves [[-R^T A^-1 R, -I], [-I, K]]. By
+        Haynsworth's theorem both have the same numbers in all.
+        """
+        coupling, level = self.coupling, self.level
+        size = level.unknowns
+        eye = jnp.eye(size, dtype=self.lu.dtype)
+        derivative = _derivative(coupling, level).reshape(size, size)
+        units = _on_nodes(coupling, level, eye.reshape(-1, 3, size))
+        given = _response(self.factors, coupling, level, units)
+        matrix = jnp.block([[-given, -eye], [-eye, derivative]])
+        pivots = blocks.pivots(self.factors)[:, np.array(AS_COLUMNS)]
+        return negative_in_all(pivots) + negative_in_all(matrix[None]) - size
 
     def numbers(self) -> tuple[Float[Array, "nodes r"], Int[Array, " k"]]:
         """What it holds besides the coupling, in rows for the nodes, and its order."""
@@ -70,21 +103,33 @@ class DenseElimination(eqx.Module):
 
 def _rows(coupling: Coupling, level: Level) -> Float[Array, "nodes 3 k"]:
     """Forces on all nodes by displacements of the joints in contact, or of their nodes."""
+    return _on_nodes(coupling, level, _derivative(coupling, level))
+
+
+def _derivative(coupling: Coupling, level: Level) -> Float[Array, "m 3 k"]:
+    """Forces on the joints in contact, or on their nodes, by displacements of these."""
     near, size = coupling.near, level.joints
     rank = jnp.stack([near.rank[joint[: level.pairs]] for joint in joints_of(near)], 1)
     # scattered by whole blocks, which is faster than by numbers
     blocks = jnp.zeros((size, size, 3, 3), coupling.derivative.dtype)
     index = (rank[:, :, None], rank[:, None, :])
     blocks = blocks.at[index].add(coupling.derivative[: level.pairs], mode="drop")
-    weight = _weights(coupling, size)
+    if near.nodes is not None:
+        weight = _weights(coupling, size)[near.nodes[: level.nodes]]
+        blocks = jnp.einsum("na,abij,mb->nmij", weight, blocks, weight)
+    return jnp.swapaxes(blocks, 1, 2).reshape(-1, 3, 3 * blocks.shape[0])
+
+
+def _on_nodes(
+    coupling: Coupling, level: Level, rows: Float[Array, "m 3 k"]
+) -> Float[Array, "nodes 3 k"]:
+    """Forces on all nodes from those on the joints in contact, or on their nodes."""
+    near = coupling.near
     if near.nodes is None:
-        columns = jnp.swapaxes(blocks, 1, 2).reshape(size, 9 * size)
-        return (weight @ columns).reshape(-1, 3, 3 * size)
-    chosen = near.nodes[: level.nodes]
-    weight = weight[chosen]
-    rows = jnp.einsum("na,abij,mb->nmij", weight, blocks, weight)
-    rows = jnp.swapaxes(rows, 1, 2).reshape(-1, 3, 3 * weight.shape[0])
-    return jnp.zeros((coupling.left.shape[0], *rows.shape[1:]), rows.dtype).at[chosen].set(rows)
+        weight = _weights(coupling, level.joints)
+        return (weight @ rows.reshape(len(rows), -1)).reshape(-1, *rows.shape[1:])
+    nothing = jnp.zeros((coupling.left.shape[0], *rows.shape[1:]), rows.dtype)
+    return nothing.at[near.nodes[: level.nodes]].set(rows)
 
 
 def _weights(coupling: Coupling, size: int) -> Float[Array, "nodes m"]:
@@ -123,10 +168,11 @@ def _joints(
     return interpolate(coupling.where, nodal.at[near.nodes[: level.nodes]].set(given))
 
 
-def _response(factors: Factors, coupling: Coupling, level: Level) -> Float[Array, "k k"]:
-    """R^T A^-1 L K: displacements in contact by the forces that such displacements cause."""
+def _response(
+    factors: Factors, coupling: Coupling, level: Level, forces: Float[Array, "nodes 3 k"]
+) -> Float[Array, "k k"]:
+    """R^T A^-1 L times forces on the nodes: displacements in contact that they cause."""
     # A^-1 (L K), not (A^-1 L) K: a product of large matrices less
-    forces = _rows(coupling, level)
     carried = jnp.concatenate([factors.inverse @ coupling.left, -factors.lower], 2)
 
     def forward(previous, row):

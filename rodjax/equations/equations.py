@@ -184,17 +184,16 @@ class Equations(eqx.Module, Generic[Scheme]):
         )
         node = node_tangent(scene, motion, moving=moving, load_factor=scheme.load_part())
         node = scheme.stiffened(placed.change, node)
-        blocks = lambda held, nodes: assemble(scene.rod, tangent, node, held, nodes, self.scales)
-        nodes = scene.held_nodes
-        system = CoupledSystem(blocks(self.projectors, nodes), coupling)
-        if slopes is not None or (scene.first_end.clamped and not scene.supports):
-            return system
+        first = scene.first_end
+        if slopes is not None or (first.clamped and not scene.supports):
+            held = self.projectors, scene.held_nodes
+            return CoupledSystem(assemble(scene.rod, tangent, node, *held, self.scales), coupling)
         # what lies before a node is not held without inertia, or held twice: see `anchored`
-        cantilever = jnp.eye(6, dtype=x.dtype)[None], (0,)
-        held = None if coupling is None else coupling.held(*cantilever)
-        # node 0 is held by both alike where it is clamped
-        differing = nodes[1:] if scene.first_end.clamped else nodes
-        return AnchoredSystem(system, CoupledSystem(blocks(*cantilever), held), differing)
+        nowhere = jnp.zeros((0, 6, 6), x.dtype), ()
+        free = assemble(scene.rod, tangent, node, *nowhere, self.scales)
+        coupling = None if coupling is None else coupling.held(*nowhere)
+        held = self.projectors, scene.held_nodes
+        return AnchoredSystem(CoupledSystem(free, coupling), *held, first.clamped)
 
     def iterate(self, x, tolerance, max_iterations):
         """Newton's iteration, with a held derivative where pairs are near.

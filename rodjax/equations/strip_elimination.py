@@ -4,6 +4,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
+from rodjax.equations.assembly import AS_COLUMNS
 from rodjax.equations.coupling import Coupling
 from rodjax.interactions import contact_graph
 from rodjax.interactions.contact_graph import Graph
@@ -11,10 +12,7 @@ from rodjax.interactions.contact_levels import Level
 from rodjax.numerics import frontal
 from rodjax.numerics.block_tridiagonal import BlockTridiagonal
 from rodjax.numerics.frontal import FrontalFactors
-
-# rows of a block with those first that contact touches, as among the columns (displacement, force
-# before, spin): (force, constraint, moment) for (constraint, force, moment); its own inverse
-_TOUCHED_FIRST = (3, 4, 5, 0, 1, 2, 6, 7, 8)
+from rodjax.numerics.signs import determinant_signs, negative_in_all
 
 
 class StripElimination(eqx.Module):
@@ -42,6 +40,17 @@ class StripElimination(eqx.Module):
         """Solution of the transposed system for one right side."""
         return _permuted(self.factors.solve_transpose(b))
 
+    def sign(self, blocks: BlockTridiagonal) -> Float[Array, ""]:
+        """Sign of the determinant, of what these `blocks` are part of."""
+        pivots = self.factors.pivots
+        # of every block the rows were exchanged
+        exchanged = (-1.0) ** len(pivots)
+        return exchanged * jnp.prod(determinant_signs(pivots))
+
+    def negative(self, blocks: BlockTridiagonal) -> Int[Array, ""]:
+        """Number of negative eigenvalues of a symmetric system: those of its pivots."""
+        return negative_in_all(self.factors.pivots)
+
     def numbers(self) -> tuple[Float[Array, "nodes r"], Int[Array, " 0"]]:
         """What it holds besides what follows from the coupling, see `DenseElimination`."""
         return self.factors.rows, jnp.zeros((0,), jnp.int32)
@@ -53,7 +62,8 @@ class StripElimination(eqx.Module):
 
 
 def _permuted(rows):
-    return rows[:, jnp.asarray(_TOUCHED_FIRST, jnp.int32)]
+    """Rows of blocks with those first that contact touches, as among the columns, or back."""
+    return rows[:, jnp.asarray(AS_COLUMNS, jnp.int32)]
 
 
 def _graph(coupling: Coupling) -> Graph:

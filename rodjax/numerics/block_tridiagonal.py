@@ -55,6 +55,14 @@ class BlockTridiagonal(eqx.Module):
         _, rows = lax.scan(eliminate, start, (self.lower, self.diagonal, self.upper, rhs))
         return lax.scan(substitute, jnp.zeros((b,), rhs.dtype), rows, reverse=True)[1]
 
+    def pivots(self, factors: "Factors") -> Float[Array, "n b b"]:
+        """The diagonal blocks as elimination leaves them, with small entries beside large ones.
+
+        Inverted they would be less exact.
+        """
+        left = self.lower[1:] @ factors.upper[:-1]
+        return self.diagonal.at[1:].add(-left)
+
     def factorize(self) -> "Factors":
         """Factors that solve for any number of right-hand sides by matrix products alone."""
         b = self.diagonal.shape[1]

@@ -55,6 +55,11 @@ class FrontalFactors(eqx.Module):
     rows: Float[Array, "n r"]
     size: FrontSize = eqx.field(static=True)
 
+    @property
+    def pivots(self) -> Float[Array, "n 9 9"]:
+        """The inverses P^-1."""
+        return self.rows[:, : BLOCK**2].reshape(-1, BLOCK, BLOCK)
+
     def solve(self, b: Float[Array, "nodes 9"]) -> Float[Array, "nodes 9"]:
         """Solution for one right side."""
 

@@ -14,7 +14,19 @@ from jaxtyping import Array, Float, Int
 
 def negative_eigenvalues(matrices: Float[Array, "m k k"]) -> Int[Array, " m"]:
     """Numbers of negative eigenvalues of symmetric matrices."""
+    # a scaling leaves the signs, and keeps small ones out of the rounding of large ones: of each
+    # row the largest entry becomes one (Ruiz 2001)
+    for _ in range(6):
+        scale = jnp.sqrt(jnp.max(jnp.abs(matrices), 2))
+        scale = jnp.where(scale > 0, scale, 1.0)
+        matrices = matrices / scale[:, :, None] / scale[:, None, :]
     return lax.map(_negative, matrices)
+
+
+def negative_in_all(matrices: Float[Array, "m k k"]) -> Int[Array, ""]:
+    """Number of negative eigenvalues of all, which are symmetric but for rounding."""
+    symmetric = 0.5 * (matrices + jnp.swapaxes(matrices, 1, 2))
+    return jnp.sum(negative_eigenvalues(symmetric), dtype=jnp.int32)
 
 
 def determinant_signs(matrices: Float[Array, "m k k"]) -> Float[Array, " m"]:
@@ -24,11 +36,7 @@ def determinant_signs(matrices: Float[Array, "m k k"]) -> Float[Array, " m"]:
 
 @jax.custom_batching.sequential_vmap
 def _negative(matrix):
-    # a scaling leaves the signs, and keeps small ones out of the rounding of large ones
-    scale = jnp.sqrt(jnp.max(jnp.abs(matrix), -1))
-    scale = jnp.where(scale > 0, scale, 1.0)
-    scaled = matrix / scale[:, None] / scale[None]
-    return jnp.sum(jnp.linalg.eigvalsh(scaled) < 0, dtype=jnp.int32)
+    return jnp.sum(jnp.linalg.eigvalsh(matrix) < 0, dtype=jnp.int32)
 
 
 @jax.custom_batching.sequential_vmap
