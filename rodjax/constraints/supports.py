@@ -14,9 +14,7 @@ class Support(eqx.Module):
     `end` says which, as it does at the ends of a rod: `Pinned()` a ball joint with what is around,
     `Clamped()` a weld, `Slider(axis)` a block that slides along the axis, `Free()` nothing;
     `Switched` lets it begin or end at a time, its `displacement` and `rotation` drive it. What it
-    exerts on the rod is in `energy.reactions`, after the ends. Equilibria of a rod with supports
-    count its modes by dense eigenvalues, at a cost that grows with the cube of the elements
-    (`relax=False` counts them at the end alone).
+    exerts on the rod is in `energy.reactions`, after the ends.
 
     Attributes:
         node: its number, from 1 to the last but one; negative from the end s = L (-1 is the last

@@ -2,17 +2,17 @@
 
 The tangent with the internal forces as multipliers, M = [[K, B^T], [B, -C]] (C the compliance times
 the elements' lengths), has one negative eigenvalue for each of the 3n components of force and one
-for each unstable mode: negative ones of K + B^T C^-1 B on what the constraint allows. They are
-counted by block elimination: the negative eigenvalues of M are those of its pivots (Sylvester,
-Haynsworth). It is the cantilever's, clamped at node 0, of which every part is held; the motion of
-node 0 and the wrenches that hold the ends follow from a small bordered matrix (see `anchored`).
-
-Where strands touch or supports hold the rod between its ends, K is formed on the admissible motions
-instead and its eigenvalues counted.
+for each unstable mode: negative ones of K + B^T C^-1 B on what the constraint allows. What holds
+the rod is a border of a cantilever's M (see `anchored`), of which each component of a wrench on
+nodes behind the first adds another. They are counted by elimination: the negative eigenvalues are
+those of the pivots (Sylvester, Haynsworth), also where strands touch.
 
 Loads without a potential (followers, dead end moments) have a tangent without symmetry. There the
 sign of its determinant tells whether the number of modes that diverge is odd; flutter is not seen.
 """
+
+import dataclasses
+import functools
 
 import jax
 import jax.numpy as jnp
@@ -20,29 +20,28 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
-from rodjax.equations.assembly import Scales, assemble
-from rodjax.equations.coupling import Coupling, couple
+from rodjax.equations.anchored import bordered
+from rodjax.equations.assembly import AS_COLUMNS, Scales, assemble
+from rodjax.equations.coupled import CoupledSystem
+from rodjax.equations.coupling import couple
 from rodjax.equations.equations import Equations
 from rodjax.equations.imbalance import node_tangent
 from rodjax.equations.schemes import AtRest
-from rodjax.equilibria.admissible import allowed, constrained, mean_bending
 from rodjax.numerics import rotations
+from rodjax.numerics.batching import one_by_one
 from rodjax.numerics.block_tridiagonal import BlockTridiagonal
-from rodjax.numerics.eigenvalues import far_above, split
-from rodjax.numerics.signs import determinant_signs, negative_eigenvalues
 from rodjax.rods import balance
-from rodjax.rods.state import NodeMotion
-from rodjax.scenes.holds import with_row
+from rodjax.scenes.holds import Node, with_row
 from rodjax.scenes.scene import Scene
 
-# Rows of a block in the order of its columns: (force, constraint, moment).
-_ORDER = np.array([3, 4, 5, 0, 1, 2, 6, 7, 8])
+# Rows of a block in the order of its columns.
+_ORDER = np.array(AS_COLUMNS)
 
 # Columns of a block that are motions of its node.
 _MOTION = np.array([0, 1, 2, 6, 7, 8])
 
-# How stiff what holds an end is, in scaled units: two clamps may hold the same thing twice.
-_END_COMPLIANCE = 1e-9
+# Compliance of what holds a node, in scaled units: two clamps may hold the same thing twice.
+_SLACK = 1e-9
 
 
 def neutral(scene: Scene, force: Float[Array, "n 3"]) -> Float[Array, ""]:
@@ -76,24 +75,33 @@ def count_below(
 def _count(equations: Equations[AtRest], x, added: Float[Array, "nodes 6"]) -> Int[Array, ""]:
     blocks = _tangent(equations, x)
     even = _asymmetry(equations, blocks) < 10 * jnp.sqrt(jnp.finfo(x.dtype).eps)
-    by_elimination = lambda: _eliminated(equations, blocks, added, even)
-    contact, supports = equations.scene.contact, equations.scene.supports
-    if contact is None and not supports:
-        return by_elimination()
-    motion, coupling = equations.motion(x), None
-    by_eigenvalues = lambda: _reduced(equations, motion, blocks, coupling, added, even)
-    if contact is None:
-        return by_eigenvalues()
-    nearby = equations.scene.find(motion.position)[-1]
+    blocks = _stiffened(blocks, equations.scales, added)
+    symmetric = _symmetric(blocks)
+    blocks = jax.tree.map(lambda a, b: jnp.where(even, a, b), symmetric, blocks)
+    scene = equations.scene
+    counted = functools.partial(_counted, clamped=scene.first_end.clamped)
+    held = equations.projectors, scene.held_nodes
+    if scene.contact is None:
+        return counted(CoupledSystem(blocks), *held, even)
+    motion = equations.motion(x)
+    nearby = scene.find(motion.position)[-1]
     still, nowhere = jnp.zeros((), x.dtype), (jnp.zeros((0, 6, 6), x.dtype), ())
-    coupling = couple(contact, nearby, motion, still, *nowhere, equations.scales)[1]
-    if supports:
-        return by_eigenvalues()
-    return lax.cond(nearby.near.level > 0, by_eigenvalues, by_elimination)
+    coupling = couple(scene.contact, nearby, motion, still, *nowhere, equations.scales)[1]
+    derivative = jnp.where(even, coupling.symmetric().derivative, coupling.derivative)
+    coupling = dataclasses.replace(coupling, derivative=derivative)
+    apart = lambda blocks, coupling, *rest: counted(CoupledSystem(blocks), *rest)
+    touching = lambda blocks, coupling, *rest: counted(CoupledSystem(blocks, coupling), *rest)
+
+    def one(blocks, coupling, *rest):
+        return lax.cond(coupling.near.level > 0, touching, apart, blocks, coupling, *rest)
+
+    # under `vmap` those that touch one by one
+    easy = lambda blocks, coupling, *rest: coupling.near.level == 0
+    return one_by_one(one, (easy, apart))(blocks, coupling, *held, even)
 
 
 def _tangent(equations: Equations[AtRest], x) -> BlockTridiagonal:
-    """The tangent of the rod free at both ends, its rows in the order of the columns."""
+    """The tangent of the rod that nothing holds."""
     scene, motion, force = equations.scene, equations.motion(x), equations.force(x)
     elements = balance.element_tangent(scene.rod, motion.position, motion.quaternion, force)
     scheme = equations.scheme
@@ -114,24 +122,31 @@ def _tangent(equations: Equations[AtRest], x) -> BlockTridiagonal:
     length = equations.scales.length
     edges = jnp.concatenate([length[None], scene.rod.length]) / length
     factor = jnp.ones((len(edges), 9, 1), node.dtype).at[:, :3, 0].set(edges[:, None])
-    return jax.tree.map(lambda rows: (factor * rows)[:, _ORDER], blocks)
+    return jax.tree.map(lambda rows: factor * rows, blocks)
 
 
 def _stiffened(blocks: BlockTridiagonal, scales: Scales, added) -> BlockTridiagonal:
     """The tangent with stiffnesses of the nodes added."""
     ones = jnp.ones((3,), added.dtype)
     unit = jnp.concatenate([ones * scales.length, ones / scales.length]) / scales.force
-    diagonal = blocks.diagonal.at[:, _MOTION, _MOTION].add(added * unit[None])
+    diagonal = blocks.diagonal.at[:, 3 + np.arange(6), _MOTION].add(added * unit[None])
     return BlockTridiagonal(blocks.lower, diagonal, blocks.upper)
 
 
+def _reordered(blocks: BlockTridiagonal) -> BlockTridiagonal:
+    """Rows in the order of columns, or back."""
+    return jax.tree.map(lambda rows: rows[:, _ORDER], blocks)
+
+
 def _symmetric(blocks: BlockTridiagonal) -> BlockTridiagonal:
-    return jax.tree.map(lambda a, b: 0.5 * (a + b), blocks, blocks.transpose())
+    ordered = _reordered(blocks)
+    return _reordered(jax.tree.map(lambda a, b: 0.5 * (a + b), ordered, ordered.transpose()))
 
 
 def _asymmetry(equations: Equations[AtRest], blocks: BlockTridiagonal) -> Float[Array, ""]:
     """Largest entry of the antisymmetric part on motions that the ends allow (scaled)."""
-    odd = jax.tree.map(lambda a, b: a - b, blocks, blocks.transpose())
+    ordered = _reordered(blocks)
+    odd = jax.tree.map(lambda a, b: a - b, ordered, ordered.transpose())
     # of every node, what it is free to do
     free = jnp.broadcast_to(jnp.eye(9, dtype=odd.diagonal.dtype), odd.diagonal.shape)
     for node, held in zip(equations.scene.held_nodes, equations.projectors, strict=True):
@@ -142,74 +157,28 @@ def _asymmetry(equations: Equations[AtRest], blocks: BlockTridiagonal) -> Float[
     return jnp.maximum(jnp.max(jnp.abs(diagonal)), jnp.max(jnp.abs(upper)))
 
 
-def _eliminated(
-    equations: Equations[AtRest], blocks: BlockTridiagonal, added, even: Bool[Array, ""]
-) -> Int[Array, ""]:
-    """`count_below` by block elimination."""
-    scene = equations.scene
-    blocks = _stiffened(blocks, equations.scales, added)
-    blocks = jax.tree.map(lambda a, b: jnp.where(even, a, b), _symmetric(blocks), blocks)
-    rest = jax.tree.map(lambda rows: rows[1:], blocks)
-    factors = rest.factorize()
-    eye = jnp.eye(9, dtype=added.dtype)[:, _MOTION]
-    columns = jnp.zeros((scene.rod.elements, 9, 12), added.dtype)
-    columns = columns.at[0, :, :6].set(blocks.lower[1][:, _MOTION]).at[-1, :, 6:].set(eye)
-    response = factors.solve(columns)
-    first = blocks.upper[0][_MOTION] @ response[0]
-    last = response[-1][_MOTION]
-    held, aside = equations.projectors
-    unit = (1 + _END_COMPLIANCE) * jnp.eye(6, dtype=added.dtype)
-    own = blocks.diagonal[0][_MOTION[:, None], _MOTION] - first[:, :6]
-    zero = jnp.zeros_like(own)
-    border = jnp.block(
-        [
-            [own, held, -first[:, 6:] @ aside],
-            [held, held - unit, zero],
-            [-aside @ last[:, :6], zero, aside - unit - aside @ last[:, 6:] @ aside],
-        ]
-    )
-    expected = 3 * scene.rod.elements + 12
-
-    def count():
-        turned = lambda matrix: 0.5 * (matrix + jnp.swapaxes(matrix, -1, -2))
-        pivots = jnp.sum(negative_eigenvalues(turned(factors.inverse)), dtype=jnp.int32)
-        return pivots + negative_eigenvalues(turned(border)[None])[0] - expected
-
-    def odd():
-        sign = jnp.prod(determinant_signs(factors.inverse)) * determinant_signs(border[None])[0]
-        return (sign * (-1) ** expected < 0).astype(jnp.int32)
-
-    return lax.cond(even, count, odd)
-
-
-def _reduced(
-    equations: Equations[AtRest],
-    motion: NodeMotion,
-    blocks: BlockTridiagonal,
-    coupling: Coupling | None,
-    added,
+def _counted(
+    free: CoupledSystem,
+    projectors: Float[Array, "h 6 6"],
+    nodes: tuple[Node, ...],
     even: Bool[Array, ""],
+    *,
+    clamped: bool,
 ) -> Int[Array, ""]:
-    """`count_below` by the eigenvalues on admissible motions (see `admissible`)."""
-    scene, scales = equations.scene, equations.scales
-    blocks = _stiffened(blocks, scales, added)
-    basis = allowed(scene.rod, motion.position, motion.quaternion)
-    # the tangent's displacements are over l, its works over F l
-    length = jnp.sum(scene.rod.length) / scales.length
-    unit = jnp.repeat(jnp.stack([length, jnp.ones_like(length)]), 3)[None, None]
-    moved = unit * basis
-    columns = jnp.insert(moved, np.array([3, 3, 3]), 0.0, axis=2)
-    pushed = jnp.moveaxis(blocks.multiply(jnp.moveaxis(columns, 0, 2)), 2, 0)[:, :, _MOTION]
-    if coupling is not None:
-        pushed = pushed + jax.vmap(coupling.multiply)(columns)[:, :, 3:]
-    size = len(basis)
-    stiffness = moved.reshape(size, -1) @ pushed.reshape(size, -1).T
-    energy = mean_bending(scene) / jnp.sum(scene.rod.length)
-    stiffness = stiffness * (scales.force * scales.length / energy)
-    motions = constrained(scene, equations.projectors, basis, stiffness)
-    _, rows, free = split(motions.ends)
-    matrix = free @ motions.stiffness @ free
-    matrix = matrix + far_above(matrix) * rows
-    count = lambda: negative_eigenvalues(0.5 * (matrix + matrix.T)[None])[0]
-    odd = lambda: (determinant_signs(matrix[None])[0] < 0).astype(jnp.int32)
+    """The number by elimination, from the tangent of the rod that nothing holds.
+
+    Args:
+        even: whether the tangent is symmetric.
+        clamped: whether node 0 is known to be.
+    """
+    elements, dtype = len(free.blocks.diagonal) - 1, projectors.dtype
+    # what is held twice does not give way, but for the rounding of how far the cantilever does
+    slack = jnp.full((6,), _SLACK, dtype).at[:3].max(2 * float(jnp.finfo(dtype).eps) * elements**3)
+    eliminated = bordered(free, projectors, nodes, clamped=clamped, slack=slack).eliminate()
+    # of forces and wrenches
+    expected = 3 * elements + 6 * (len(nodes) - 1)
+    # rows stand as assembled, not as columns: in each of the n + 1 blocks an odd permutation
+    sign = (-1.0) ** (expected + elements + 1)
+    count = lambda: eliminated.negative() - expected
+    odd = lambda: (sign * eliminated.sign() < 0).astype(jnp.int32)
     return lax.cond(even, count, odd)
