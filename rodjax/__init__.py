@@ -124,7 +124,7 @@ _FOLDERS = {
     "windows": "dynamics",
 }
 
-# where in `fitting` its names are: with its solvers it takes a fifth of the time of the import
+# where in `fitting` its names are: with its solvers it takes a tenth of the time of the import
 _FITTING = {
     "Fixed": "bounds",
     "Interval": "bounds",

@@ -123,7 +123,7 @@ def _limits(scene: Scene) -> _Limits:
 
 def deepest(scene: Scene, position) -> Overlap | None:
     """Where strands of a configuration are too near, most of all; None if nowhere (not traced)."""
-    from scipy.spatial import KDTree  # a tenth of the time of the import of rodjax
+    from scipy.spatial import KDTree  # it takes long to import
 
     contact = scene.contact
     if contact is None or not np.all(np.isfinite(np.asarray(position))):
