@@ -199,7 +199,7 @@ def held_derivative(elements: int, until: float, sample: int, repeats: int) -> d
     for k in range(1, len(run.times) - 1, sample):
         state, stop = run.state(k), run.times[k + 1]
         equations = _equations(whole, state, stop, True)
-        nearby = equations.nearby
+        nearby = equations.found_contact
         assert nearby is not None
         near = bool(nearby.near.count > 0)
         if not near:

@@ -32,8 +32,8 @@ from rodjax.dynamics.stepping import prepare, step
 from rodjax.equations.equations import step_equations
 from rodjax.equations.generalized_alpha import GeneralizedAlpha
 from rodjax.interactions.contact import interpolate
-from rodjax.interactions.contact_forces import joints_of, pair_forces
-from rodjax.interactions.self_contact import Nearby
+from rodjax.interactions.contact_forces import pair_forces, vertices_of
+from rodjax.interactions.self_contact import FoundContact
 from rodjax.numerics.block_tridiagonal import BlockTridiagonal
 from rodjax.numerics.compilation import compiled
 from rodjax.numerics.results import Result
@@ -178,20 +178,20 @@ def iteration_costs(elements: int, contact: bool, repeats: int) -> dict[str, Any
     return found
 
 
-def contact_counts(whole: Scene, state: State, nearby: Nearby) -> dict[str, int]:
+def contact_counts(whole: Scene, state: State, found_contact: FoundContact) -> dict[str, int]:
     """Pairs near, their joints (which the solver eliminates), and those on which a force acts."""
     assert whole.contact is not None
-    where, near = nearby
-    joints, velocities = (interpolate(where, v) for v in (state.position, state.velocity))
-    forces = pair_forces(whole.contact, where, near, joints, velocities).force
-    count = int(near.count)
-    listed = np.stack([np.asarray(index)[:count] for index in joints_of(near)])
+    sites, pairs = found_contact
+    vertices, velocities = (interpolate(sites, v) for v in (state.position, state.velocity))
+    forces = pair_forces(whole.contact, sites, pairs, vertices, velocities).force
+    count = int(pairs.count)
+    listed = np.stack([np.asarray(index)[:count] for index in vertices_of(pairs)])
     return {
         "pairs": count,
         "joints_near": len(np.unique(listed)),
         "joints": int(np.sum(np.any(np.asarray(forces) != 0, axis=1))),
         "segments": whole.contact.segments,
-        "level": int(near.level),
+        "level": int(pairs.capacity),
     }
 
 

@@ -79,7 +79,7 @@ def test_contacts_over_a_run_are_those_of_its_states(bent):
 # Division into segments and points
 
 
-def test_joints_lie_on_the_curve_through_the_nodes():
+def test_vertices_lie_on_the_curve_through_the_nodes():
     """Fourth order on a helix, where chords would be off by kappa l^2/8."""
 
     def helix(s):
@@ -90,17 +90,17 @@ def test_joints_lie_on_the_curve_through_the_nodes():
     for elements in counts:
         rod = straight_rod(1.0, elements, section)
         contact = Contact(LAWS["damped"], segments=50, cutoff=0.1, points_per_segment=2)
-        where = contact_of.sites(contact, rod)
-        joints = contact_of.interpolate(where, jnp.asarray(helix(np.asarray(rod.arc_length))))
+        where = contact_of.sites_of(contact, rod)
+        vertices = contact_of.interpolate(where, jnp.asarray(helix(np.asarray(rod.arc_length))))
         exact = helix(np.linspace(0, 1, 51))
-        errors.append(np.max(np.linalg.norm(np.asarray(joints) - exact, axis=1)))
+        errors.append(np.max(np.linalg.norm(np.asarray(vertices) - exact, axis=1)))
         np.testing.assert_allclose(jnp.sum(where.weight, 1), 1.0, atol=1e-13)
         # forces are spread with the same total and moment
-        force = jnp.asarray(np.random.default_rng(0).normal(size=joints.shape))
+        force = jnp.asarray(np.random.default_rng(0).normal(size=vertices.shape))
         nodes = helix(np.asarray(rod.arc_length))
         nodal = np.asarray(contact_of.spread(where, force, elements + 1))
         np.testing.assert_allclose(nodal.sum(0), force.sum(0), atol=1e-12)
-        moment = np.cross(joints, force).sum(0)
+        moment = np.cross(vertices, force).sum(0)
         np.testing.assert_allclose(np.cross(nodes, nodal).sum(0), moment, atol=1e-12)
     assert order_of(1 / np.asarray(counts), errors) > 3.5
 

@@ -12,7 +12,7 @@ from helpers import LAWS, slow
 from rodjax.dynamics.stepping import step
 from rodjax.equations import coupling
 from rodjax.equations.equations import step_equations
-from rodjax.interactions import contact_levels, screening
+from rodjax.interactions import contact_capacities, screening
 from rodjax.interactions.contact import Contact
 from rodjax.numerics import newton
 from rodjax.numerics.front_order import FrontSize
@@ -53,17 +53,19 @@ def test_a_strip_is_solved_as_a_dense_system(bent, monkeypatch):
         near = scene.find(state.position)[-1]
         equations = step_equations(scene, state, jnp.asarray(1e-3), jnp.asarray(0.8), (near,))
         system = equations.linearize(equations.guess(state.force))
-        front = system.coupling.levels[int(near.near.level) - 1].front
+        front = system.coupling.capacities[int(near.pairs.capacity) - 1].front
         found = system.solve(b), system.solve_transpose(b), system.eliminate().solve(b)
         return front, found, system.multiply(found[0])
 
     front, expected, _ = solutions()
     assert front is None
     # however few joints are in contact, by a front, or as a dense system if it is too narrow
-    whole = contact_levels.levels(scene.contact, len(b) - 1)[-1]
+    whole = contact_capacities.capacities(scene.contact, len(b) - 1)[-1]
     size = FrontSize(24, 8)
     for module in (screening, coupling):
-        monkeypatch.setattr(module, "levels", lambda *given: (whole._replace(front=size), whole))
+        monkeypatch.setattr(
+            module, "capacities", lambda *given: (whole._replace(front=size), whole)
+        )
     front, found, product = solutions()
     assert front == size
     np.testing.assert_allclose(product, b, atol=1e-11)
@@ -84,8 +86,8 @@ def test_batches_of_right_sides_and_of_systems(bent):
 
     @jax.jit
     def equations(state):
-        nearby = scene.find(state.position)[-1]
-        return step_equations(scene, state, jnp.asarray(1e-3), jnp.asarray(0.5), (nearby,))
+        found_contact = scene.find(state.position)[-1]
+        return step_equations(scene, state, jnp.asarray(1e-3), jnp.asarray(0.5), (found_contact,))
 
     system = lambda state: equations(state).linearize(equations(state).guess(state.force))
 
@@ -99,7 +101,7 @@ def test_batches_of_right_sides_and_of_systems(bent):
         np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-12 * largest)
 
     one = system(state)
-    assert int(one.coupling.near.level) > 0 and int(system(apart).coupling.near.level) == 0
+    assert int(one.coupling.pairs.capacity) > 0 and int(system(apart).coupling.pairs.capacity) == 0
     alone = [one.solve(b) for b in right]
     close(jax.vmap(one.solve)(right), jnp.stack(alone))
     # several right sides of several systems
@@ -120,9 +122,9 @@ def test_batches_of_right_sides_and_of_systems(bent):
 @finer_and_coarser
 def test_a_held_derivative_leads_to_the_same_motion(bent):
     scene, state, _ = bent
-    nearby = scene.find(state.position)[-1]
-    equations = step_equations(scene, state, jnp.asarray(1e-3), jnp.asarray(0.5), (nearby,))
-    assert int(nearby.near.count) > 0
+    found_contact = scene.find(state.position)[-1]
+    equations = step_equations(scene, state, jnp.asarray(1e-3), jnp.asarray(0.5), (found_contact,))
+    assert int(found_contact.pairs.count) > 0
     rest = (equations.guess(state.force), jnp.asarray(1e-11), jnp.asarray(20))
     whole, each = jax.jit(lambda: newton.iterate(equations, *rest))()
     held, once = jax.jit(lambda: newton.iterate_held(equations, *rest))()
@@ -141,7 +143,7 @@ def test_every_size_of_solver_gives_the_same_increment(bent):
         contact = dataclasses.replace(apart, capacities=sizes)
         same = eqx.tree_at(lambda s: s.contact, scene, contact)
         near = same.find(state.position, 1e-3 * state.velocity)[-1]
-        assert int(near.near.level) == len(sizes) - (len(sizes) > 1)
+        assert int(near.pairs.capacity) == len(sizes) - (len(sizes) > 1)
         equations = step_equations(same, state, jnp.asarray(1e-3), jnp.asarray(0.8), (near,))
         found.append(equations.newton_increment(equations.guess(state.force)))
     np.testing.assert_allclose(found[1], found[0], atol=1e-12)

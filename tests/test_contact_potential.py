@@ -16,7 +16,7 @@ from rodjax import energy
 from rodjax.dynamics.stepping import no_info
 from rodjax.equations.overlap import least_held
 from rodjax.interactions import contact_laws
-from rodjax.interactions.contact import sites
+from rodjax.interactions.contact import sites_of
 from rodjax.interactions.contact_energy import contact_energy, has_potential, pair_energy
 from rodjax.interactions.contact_forces import report, window
 from rodjax.interactions.screening import search
@@ -282,7 +282,7 @@ def test_lists_hold_two_strands_by_default():
     rod = hairpin(24, half_gap=0.015)
     contact = rx.Contact(rx.DebyeHueckel(1.0, 0.02), 100, 0.2)
     scene = rx.Scene(rod, rx.Clamped(), contact=contact)
-    searched = lambda scene, x: search(scene.contact, sites(scene.contact, scene.rod), x)
+    searched = lambda scene, x: search(scene.contact, sites_of(scene.contact, scene.rod), x)
     found = eqx.filter_jit(searched)(scene, rod.position)
     assert int(found.count) > 4 * 101 and not found.overflow
     assert scene.contact.pairs_per_segment is None

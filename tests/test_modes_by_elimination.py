@@ -17,7 +17,7 @@ from rodjax.equations.imbalance import lacking
 from rodjax.equations.schemes import AtRest
 from rodjax.equilibria.admissible import admissible, mean_bending
 from rodjax.equilibria.unstable_modes import count_below
-from rodjax.interactions import contact_levels, screening
+from rodjax.interactions import contact_capacities, screening
 from rodjax.interactions.contact_laws import InversePower
 from rodjax.numerics import rotations
 from rodjax.numerics.eigenvalues import far_above, split
@@ -126,13 +126,13 @@ def test_strands_in_contact_held_at_random(elements, segments, front, monkeypatc
     """By nodes, by joints, and along the strip that the strands form."""
     contact = rx.Contact(InversePower(1e-4, 3.0), segments, 0.1, exclusion=0.3)
     if front is not None:
-        whole = contact_levels.levels(contact, elements)[-1]
+        whole = contact_capacities.capacities(contact, elements)[-1]
         for module in (screening, coupling):
             fronts = whole._replace(front=front), whole
-            monkeypatch.setattr(module, "levels", lambda *given, fronts=fronts: fronts)
+            monkeypatch.setattr(module, "capacities", lambda *given, fronts=fronts: fronts)
     rod = hairpin(elements)
     scene = rx.Scene(rod, contact=contact)
-    assert int(scene.find(rod.position)[-1].near.level) == 1
+    assert int(scene.find(rod.position)[-1].pairs.capacity) == 1
     numbers = agree(random_cases(rod, 30, 0.3, contact))
     assert min(numbers) == 0 and max(numbers) > 4
 

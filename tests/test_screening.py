@@ -33,10 +33,10 @@ def test_search_misses_no_pair_that_acts(bent):
     """Every pair of points with a force, found by brute force, is in the list."""
     scene, state, near = bent
     where, found = near
-    joints = np.asarray(contact_of.interpolate(where, state.position))
+    vertices = np.asarray(contact_of.interpolate(where, state.position))
     part = (np.arange(2) + 0.5) / 2
-    points = joints[:-1, None] + part[:, None] * (joints[1:, None] - joints[:-1, None])
-    chord = joints[1:] - joints[:-1]
+    points = vertices[:-1, None] + part[:, None] * (vertices[1:, None] - vertices[:-1, None])
+    chord = vertices[1:] - vertices[:-1]
     chord /= np.linalg.norm(chord, axis=1, keepdims=True)
     listed = set(zip(*(np.asarray(x)[: int(found.count)].tolist() for x in found[:2]), strict=True))
     acting = set()
@@ -71,8 +71,8 @@ def test_passage_is_seen_fast_or_slow(pieces):
 
     @eqx.filter_jit
     def seen(before, after):
-        nearby = scene.find(before, after - before)[-1]
-        return screening.passage_suspected(*nearby, before, after)
+        found = scene.find(before, after - before)[-1]
+        return screening.passage_suspected(*found, before, after)
 
     def passed(shift):
         way = [place.at[14:].add(part * shift) for part in jnp.linspace(0, 1, pieces + 1)]
@@ -95,8 +95,8 @@ def test_no_passage_is_seen_along_one_strand(bend):
 
     @eqx.filter_jit
     def seen(before, after):
-        nearby = scene.find(before, after - before)[-1]
-        return nearby.near.count, screening.passage_suspected(*nearby, before, after)
+        found = scene.find(before, after - before)[-1]
+        return found.pairs.count, screening.passage_suspected(*found, before, after)
 
     def shape():
         wave = np.outer(np.sin(3 * s + random.uniform(0, 6)), random.normal(size=3))

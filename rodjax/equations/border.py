@@ -16,7 +16,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
-from rodjax.equations.coupled import CoupledSystem, Eliminated, EliminatedApart
+from rodjax.equations.coupled import CoupledSystem, Eliminated, EliminatedBlocks
 from rodjax.numerics.signs import determinant_signs, negative_in_all
 
 
@@ -93,7 +93,7 @@ class BorderedSystem(eqx.Module):
 class EliminatedBorder(eqx.Module):
     """Factors of A, and its response A^-1 B to the border."""
 
-    eliminated: Eliminated | EliminatedApart
+    eliminated: Eliminated | EliminatedBlocks
     border: Border
     response: Float[Array, "k nodes 9"]
 
@@ -109,7 +109,7 @@ class EliminatedBorder(eqx.Module):
     def negative(self) -> Int[Array, ""]:
         """Number of negative eigenvalues of a system that is symmetric.
 
-        By Haynsworth those of A (see `EliminatedApart.negative`) and those of S.
+        By Haynsworth those of A (see `EliminatedBlocks.negative`) and those of S.
         """
         complement = self.border.complement(self.response)
         return self.eliminated.negative() + negative_in_all(complement[None])

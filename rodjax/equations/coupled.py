@@ -1,7 +1,7 @@
 """Newton systems whose block-tridiagonal matrix is coupled by contact between distant nodes.
 
-A solver for what is in contact is chosen at run time, see `contact_levels`: the joints in contact
-are eliminated as a dense system, or all nodes along the strip that the strands form.
+A solver for what is in contact is chosen at run time, see `contact_capacities`: the vertices in
+contact are eliminated as a dense system, or all nodes along the strip that the strands form.
 """
 
 from collections.abc import Callable
@@ -18,7 +18,7 @@ from rodjax.equations.assembly import AS_COLUMNS
 from rodjax.equations.coupling import Coupling
 from rodjax.equations.dense_elimination import DenseElimination
 from rodjax.equations.strip_elimination import StripElimination
-from rodjax.interactions.contact_levels import Level
+from rodjax.interactions.contact_capacities import Capacity
 from rodjax.numerics.batching import one_by_one
 from rodjax.numerics.block_tridiagonal import BlockTridiagonal, Factors
 from rodjax.numerics.signs import determinant_signs, negative_in_all
@@ -38,7 +38,7 @@ class CoupledSystem(eqx.Module):
     @jax.named_scope("solve")
     def solve(self, b: Float[Array, "nodes 9"]) -> Float[Array, "nodes 9"]:
         """Solution of the system. Under `vmap` over b alone the matrix is eliminated once."""
-        return _solve_apart(self, b) if self.coupling is None else _solve(self, b)
+        return _solve_blocks(self, b) if self.coupling is None else _solve(self, b)
 
     def solve_once(self, b: Float[Array, "nodes 9"]) -> Float[Array, "nodes 9"]:
         """As `solve`, for one right side alone, which needs no factors to be kept."""
@@ -47,7 +47,7 @@ class CoupledSystem(eqx.Module):
     def solve_transpose(self, b: Float[Array, "nodes 9"]) -> Float[Array, "nodes 9"]:
         """Solution of the transposed system."""
         if self.coupling is None:
-            return _solve_transpose_apart(self, b)
+            return _solve_transpose_blocks(self, b)
         return _solve_transpose(self, b)
 
     def multiply(self, b: Float[Array, "nodes 9"]) -> Float[Array, "nodes 9"]:
@@ -56,17 +56,17 @@ class CoupledSystem(eqx.Module):
         return product if self.coupling is None else product + self.coupling.multiply(b)
 
     @jax.named_scope("eliminate")
-    def eliminate(self) -> "Eliminated | EliminatedApart":
+    def eliminate(self) -> "Eliminated | EliminatedBlocks":
         """The system, of contact some pairs of which are near, ready for several right sides."""
         blocks, coupling = self.blocks, self.coupling
         if coupling is None:
-            return EliminatedApart.of(blocks)
+            return EliminatedBlocks.of(blocks)
 
-        def numbers(level, blocks, coupling):
-            return _elimination(level).of(blocks, coupling, level).numbers()
+        def numbers(capacity, blocks, coupling):
+            return _elimination(capacity).of(blocks, coupling, capacity).numbers()
 
         # jitted so as to be traced once, for the sizes and for the branches
-        each = [jax.jit(partial(numbers, level)) for level in coupling.levels]
+        each = [jax.jit(partial(numbers, capacity)) for capacity in coupling.capacities]
         sizes = [[x.shape[-1] for x in jax.eval_shape(one, blocks, coupling)] for one in each]
         row, order = (max(size) for size in zip(*sizes, strict=True))
 
@@ -80,19 +80,19 @@ class CoupledSystem(eqx.Module):
 
             return branch
 
-        level = coupling.near.level - 1
-        found = lax.switch(level, list(map(padded, each)), blocks, coupling)
+        capacity = coupling.pairs.capacity - 1
+        found = lax.switch(capacity, list(map(padded, each)), blocks, coupling)
         return Eliminated(blocks, coupling, *found)
 
 
-class EliminatedApart(eqx.Module):
+class EliminatedBlocks(eqx.Module):
     """Factors of a system without coupling."""
 
     blocks: BlockTridiagonal
     factors: Factors
 
     @classmethod
-    def of(cls, blocks: BlockTridiagonal) -> "EliminatedApart":
+    def of(cls, blocks: BlockTridiagonal) -> "EliminatedBlocks":
         """Of these blocks."""
         return cls(blocks, blocks.factorize())
 
@@ -132,67 +132,69 @@ class Eliminated(eqx.Module):
         return self._of_level(lambda elimination, blocks: elimination.sign(blocks), self.blocks)
 
     def negative(self) -> Int[Array, ""]:
-        """Number of negative eigenvalues of a symmetric system, see `EliminatedApart.negative`."""
+        """Number of negative eigenvalues of a symmetric system, see `EliminatedBlocks.negative`."""
         return self._of_level(lambda elimination, blocks: elimination.negative(blocks), self.blocks)
 
     def _of_level(self, asked: Callable, *given):
         """What is asked of the solver for what is in contact."""
 
-        def by(level):
+        def by(capacity):
             def answer(coupling, rows, order, *given):
-                return asked(_elimination(level).from_numbers(coupling, level, rows, order), *given)
+                return asked(
+                    _elimination(capacity).from_numbers(coupling, capacity, rows, order), *given
+                )
 
             return answer
 
-        branches = [by(level) for level in self.coupling.levels]
+        branches = [by(capacity) for capacity in self.coupling.capacities]
         numbers = self.coupling, self.rows, self.order
-        return lax.switch(self.coupling.near.level - 1, branches, *numbers, *given)
+        return lax.switch(self.coupling.pairs.capacity - 1, branches, *numbers, *given)
 
 
-def _elimination(level: Level) -> type[DenseElimination] | type[StripElimination]:
-    return DenseElimination if level.front is None else StripElimination
+def _elimination(capacity: Capacity) -> type[DenseElimination] | type[StripElimination]:
+    return DenseElimination if capacity.front is None else StripElimination
 
 
-def _solve_apart(system: CoupledSystem, b):
-    return EliminatedApart.of(system.blocks).solve(b)
+def _solve_blocks(system: CoupledSystem, b):
+    return EliminatedBlocks.of(system.blocks).solve(b)
 
 
-def _solve_transpose_apart(system: CoupledSystem, b):
-    return _solve_apart(CoupledSystem(system.blocks.transpose()), b)
+def _solve_transpose_blocks(system: CoupledSystem, b):
+    return _solve_blocks(CoupledSystem(system.blocks.transpose()), b)
 
 
-def _not_touching(system: CoupledSystem, b):
+def _uncoupled(system: CoupledSystem, b):
     assert system.coupling is not None
-    return system.coupling.near.level == 0
+    return system.coupling.pairs.capacity == 0
 
 
-def _touching(solved, apart):
+def _by_capacity(solved, uncoupled):
     """A solve by the solver for what is in contact, one lane of a batch after the other."""
 
     def one(system: CoupledSystem, b):
         assert system.coupling is not None
-        branches = [apart]
-        for level in system.coupling.levels:
-            branches.append(lambda system, b, level=level: solved(system, level, b))
-        return lax.switch(system.coupling.near.level, branches, system, b)
+        branches = [uncoupled]
+        for capacity in system.coupling.capacities:
+            branches.append(lambda system, b, capacity=capacity: solved(system, capacity, b))
+        return lax.switch(system.coupling.pairs.capacity, branches, system, b)
 
-    return one_by_one(one, (_not_touching, apart))
+    return one_by_one(one, (_uncoupled, uncoupled))
 
 
-def _solved(system: CoupledSystem, level: Level, b):
+def _solved(system: CoupledSystem, capacity: Capacity, b):
     assert system.coupling is not None
-    eliminated = _elimination(level).of(system.blocks, system.coupling, level)
-    if level.front is None:
+    eliminated = _elimination(capacity).of(system.blocks, system.coupling, capacity)
+    if capacity.front is None:
         return eliminated.solve(b)
     return _refined(eliminated.solve, system.multiply, b)
 
 
-def _solved_transpose(system: CoupledSystem, level: Level, b):
+def _solved_transpose(system: CoupledSystem, capacity: Capacity, b):
     assert system.coupling is not None
     transposed = system.transpose()
-    if level.front is None:
-        return _solved(transposed, level, b)
-    eliminated = StripElimination.of(system.blocks, system.coupling, level)
+    if capacity.front is None:
+        return _solved(transposed, capacity, b)
+    eliminated = StripElimination.of(system.blocks, system.coupling, capacity)
     return _refined(eliminated.solve_transpose, transposed.multiply, b)
 
 
@@ -208,5 +210,5 @@ def _refined(solve, multiply, b):
     return jnp.where(lost, jnp.nan, x + solve(left))
 
 
-_solve = _touching(_solved, _solve_apart)
-_solve_transpose = _touching(_solved_transpose, _solve_transpose_apart)
+_solve = _by_capacity(_solved, _solve_blocks)
+_solve_transpose = _by_capacity(_solved_transpose, _solve_transpose_blocks)

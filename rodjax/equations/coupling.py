@@ -1,7 +1,7 @@
 """The derivative of the contact forces in a Newton system, pair by pair.
 
-In the matrix it is L K R^T: K the sum of the pairs' derivatives over the joints in contact, R^T
-reads the displacements of those joints, L puts forces on them into the force balances.
+In the matrix it is L K R^T: K the sum of the pairs' derivatives over the vertices in contact, R^T
+reads the displacements of those vertices, L puts forces on them into the force balances.
 """
 
 import dataclasses
@@ -12,10 +12,10 @@ from jaxtyping import Array, Float
 
 from rodjax.equations.assembly import Scales
 from rodjax.interactions.contact import Contact, Sites, interpolate, spread
-from rodjax.interactions.contact_forces import forces_and_derivative, gather, joints_of
-from rodjax.interactions.contact_levels import Level, levels
-from rodjax.interactions.screening import Near
-from rodjax.interactions.self_contact import Nearby, on_nodes
+from rodjax.interactions.contact_capacities import Capacity, capacities
+from rodjax.interactions.contact_forces import forces_and_derivative, gather, vertices_of
+from rodjax.interactions.screening import NearPairs
+from rodjax.interactions.self_contact import FoundContact, on_nodes
 from rodjax.rods.state import NodeMotion
 from rodjax.scenes.holds import Node, with_row
 
@@ -23,12 +23,12 @@ from rodjax.scenes.holds import Node, with_row
 class Coupling(eqx.Module):
     """Derivative of the contact forces, pair by pair, and where it stands in the matrix."""
 
-    where: Sites
-    near: Near
-    derivative: Float[Array, "q 4 4 3 3"]  # of minus the force by the joints, scaled
+    sites: Sites
+    pairs: NearPairs
+    derivative: Float[Array, "q 4 4 3 3"]  # of minus the force by the vertices, scaled
     left: Float[Array, "nodes 9 3"]  # where a force on a node enters its block row
     right: Float[Array, "nodes 9 3"]  # where a node's displacement stands in its block column
-    levels: tuple[Level, ...] = eqx.field(static=True)  # sizes with a solver
+    capacities: tuple[Capacity, ...] = eqx.field(static=True)  # sizes with a solver
 
     def held(self, projectors: Float[Array, "h 6 6"], nodes: tuple[Node, ...]) -> "Coupling":
         """The same contact of a rod that is held so."""
@@ -37,7 +37,7 @@ class Coupling(eqx.Module):
     def transpose(self) -> "Coupling":
         """The coupling of the transposed matrix."""
         swapped = jnp.transpose(self.derivative, (0, 2, 1, 4, 3))
-        return Coupling(self.where, self.near, swapped, self.right, self.left, self.levels)
+        return Coupling(self.sites, self.pairs, swapped, self.right, self.left, self.capacities)
 
     def symmetric(self) -> "Coupling":
         """The symmetric part, of a rod that nothing holds."""
@@ -46,14 +46,14 @@ class Coupling(eqx.Module):
 
     def multiply(self, b: Float[Array, "nodes 9"]) -> Float[Array, "nodes 9"]:
         """L K R^T b, pair by pair."""
-        return self.push(interpolate(self.where, jnp.einsum("jrk,jr->jk", self.right, b)))
+        return self.push(interpolate(self.sites, jnp.einsum("jrk,jr->jk", self.right, b)))
 
     def push(self, moved: Float[Array, "j 3"]) -> Float[Array, "nodes 9"]:
-        """L K times displacements of the joints, pair by pair."""
-        index = jnp.stack(joints_of(self.near), 1)
+        """L K times displacements of the vertices, pair by pair."""
+        index = jnp.stack(vertices_of(self.pairs), 1)
         force = jnp.einsum("qijkl,qjl->qik", self.derivative, moved[index])
-        force = gather(self.near, force, moved.shape[0])
-        return jnp.einsum("jrk,jk->jr", self.left, spread(self.where, force, len(self.left)))
+        force = gather(self.pairs, force, moved.shape[0])
+        return jnp.einsum("jrk,jk->jr", self.left, spread(self.sites, force, len(self.left)))
 
 
 def _balances(
@@ -69,29 +69,29 @@ def _balances(
 
 def couple(
     contact: Contact,
-    nearby: Nearby,
+    found: FoundContact,
     motion: NodeMotion,
     by_velocity: Float[Array, ""],
     projectors: Float[Array, "h 6 6"],
     nodes: tuple[Node, ...],
     scales: Scales,
 ) -> tuple[Float[Array, "nodes 6"], Coupling]:
-    """What contact exerts on the nodes, and their derivative in a system as `assembly.assemble`'s.
+    """What contact exerts on the nodes, and its derivative in a system as `assembly.assemble`'s.
 
     Velocities follow positions by the factor `by_velocity`.
     """
-    where, near = nearby
-    joints, velocities = (interpolate(where, x) for x in (motion.position, motion.velocity))
-    found = forces_and_derivative(contact, where, near, joints, velocities, by_velocity)
-    assert found.derivative is not None
+    sites, pairs = found
+    vertices, velocities = (interpolate(sites, x) for x in (motion.position, motion.velocity))
+    between = forces_and_derivative(contact, sites, pairs, vertices, velocities, by_velocity)
+    assert between.derivative is not None
     count = len(motion.position)
     left = _balances(projectors, nodes, count)
     coupling = Coupling(
-        where,
-        near,
-        scales.length / scales.force * found.derivative,
+        sites,
+        pairs,
+        scales.length / scales.force * between.derivative,
         left,
         jnp.broadcast_to(jnp.eye(9, 3, dtype=left.dtype)[None], left.shape),
-        levels(contact, count - 1),
+        capacities(contact, count - 1),
     )
-    return on_nodes(spread(where, found.force, count)), coupling
+    return on_nodes(spread(sites, between.force, count)), coupling

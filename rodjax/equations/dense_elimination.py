@@ -1,9 +1,9 @@
-"""Strands in contact eliminated as a dense system: few joints, or any number of them.
+"""Strands in contact eliminated as a dense system: few vertices, or any number of them.
 
 Of A + L K R^T the block-tridiagonal A is eliminated, which leaves a dense system for the
-displacements of the joints in contact (Woodbury's identity in the form that needs no inverse of K).
-Where the grid is coarser than the contact's segments, the nodes between which the joints lie take
-the joints' place: they are fewer. Its cost grows with the cube of what touches.
+displacements of the vertices in contact (Woodbury's identity in the form that needs no inverse of
+K). Where the grid is coarser than the contact's segments, the nodes between which the vertices lie
+take the vertices' place: they are fewer. Its cost grows with the cube of what touches.
 """
 
 import equinox as eqx
@@ -16,8 +16,8 @@ from jaxtyping import Array, Float, Int
 from rodjax.equations.assembly import AS_COLUMNS
 from rodjax.equations.coupling import Coupling
 from rodjax.interactions.contact import interpolate
-from rodjax.interactions.contact_forces import joints_of
-from rodjax.interactions.contact_levels import Level
+from rodjax.interactions.contact_capacities import Capacity
+from rodjax.interactions.contact_forces import vertices_of
 from rodjax.numerics.block_tridiagonal import BlockTridiagonal, Factors
 from rodjax.numerics.signs import determinant_signs, negative_in_all
 
@@ -26,30 +26,32 @@ class DenseElimination(eqx.Module):
     """Factors of A, and of I + R^T A^-1 L K."""
 
     coupling: Coupling
-    level: Level = eqx.field(static=True)
+    capacity: Capacity = eqx.field(static=True)
     factors: Factors
     lu: Float[Array, "k k"]
     order: Int[Array, " k"]  # of the rows of the latter
 
     @classmethod
-    def of(cls, blocks: BlockTridiagonal, coupling: Coupling, level: Level) -> "DenseElimination":
-        """Of blocks + coupling, whose joints in contact the level must hold."""
+    def of(
+        cls, blocks: BlockTridiagonal, coupling: Coupling, capacity: Capacity
+    ) -> "DenseElimination":
+        """Of blocks + coupling, whose vertices in contact the capacity must hold."""
         factors = blocks.factorize()
-        response = _response(factors, coupling, level, _rows(coupling, level))
-        eye = jnp.eye(level.unknowns, dtype=response.dtype)
+        response = _response(factors, coupling, capacity, _rows(coupling, capacity))
+        eye = jnp.eye(capacity.unknowns, dtype=response.dtype)
         lu, _, order = lax.linalg.lu(eye + response)
-        return cls(coupling, level, factors, lu, order)
+        return cls(coupling, capacity, factors, lu, order)
 
     def solve(self, b: Float[Array, "nodes 9"]) -> Float[Array, "nodes 9"]:
         """Solution A^-1 (b - L K d), where d, displacements in contact, obey the dense system."""
         free = self.factors.solve(b[:, :, None])[:, :, 0]
         nodal = jnp.einsum("nrk,nr->nk", self.coupling.right, free)
-        right = _read(self.coupling, nodal[:, :, None], self.level)[self.order]
+        right = _read(self.coupling, nodal[:, :, None], self.capacity)[self.order]
         for lower in (True, False):
             right = lax.linalg.triangular_solve(
                 self.lu, right, left_side=True, lower=lower, unit_diagonal=lower
             )
-        pushed = self.coupling.push(_joints(self.coupling, right[:, 0], self.level))
+        pushed = self.coupling.push(_vertices(self.coupling, right[:, 0], self.capacity))
         return free - self.factors.solve(pushed[:, :, None])[:, :, 0]
 
     def sign(self, blocks: BlockTridiagonal) -> Float[Array, ""]:
@@ -72,12 +74,12 @@ class DenseElimination(eqx.Module):
         A + R K R^T when it is eliminated. So does A, and leaves [[-R^T A^-1 R, -I], [-I, K]]. By
         Haynsworth's theorem both have the same numbers in all.
         """
-        coupling, level = self.coupling, self.level
-        size = level.unknowns
+        coupling, capacity = self.coupling, self.capacity
+        size = capacity.unknowns
         eye = jnp.eye(size, dtype=self.lu.dtype)
-        derivative = _derivative(coupling, level).reshape(size, size)
-        units = _on_nodes(coupling, level, eye.reshape(-1, 3, size))
-        given = _response(self.factors, coupling, level, units)
+        derivative = _derivative(coupling, capacity).reshape(size, size)
+        units = _on_nodes(coupling, capacity, eye.reshape(-1, 3, size))
+        given = _response(self.factors, coupling, capacity, units)
         matrix = jnp.block([[-given, -eye], [-eye, derivative]])
         pivots = blocks.pivots(self.factors)[:, np.array(AS_COLUMNS)]
         return negative_in_all(pivots) + negative_in_all(matrix[None]) - size
@@ -91,85 +93,85 @@ class DenseElimination(eqx.Module):
         return jnp.concatenate([*parts, spread], 1), self.order
 
     @classmethod
-    def from_numbers(cls, coupling, level, rows, order) -> "DenseElimination":
+    def from_numbers(cls, coupling, capacity, rows, order) -> "DenseElimination":
         """What gave these numbers."""
-        size, k = 81, level.unknowns
+        size, k = 81, capacity.unknowns
         parts = [rows[:, i * size : (i + 1) * size].reshape(-1, 9, 9) for i in range(3)]
         share = -(-k * k // rows.shape[0])
         flat = rows[:, 3 * size : 3 * size + share].reshape(-1)
         lu = flat[: k * k].reshape(k, k)
-        return cls(coupling, level, Factors(*parts), lu, order[:k])
+        return cls(coupling, capacity, Factors(*parts), lu, order[:k])
 
 
-def _rows(coupling: Coupling, level: Level) -> Float[Array, "nodes 3 k"]:
-    """Forces on all nodes by displacements of the joints in contact, or of their nodes."""
-    return _on_nodes(coupling, level, _derivative(coupling, level))
+def _rows(coupling: Coupling, capacity: Capacity) -> Float[Array, "nodes 3 k"]:
+    """Forces on all nodes by displacements of the vertices in contact, or of their nodes."""
+    return _on_nodes(coupling, capacity, _derivative(coupling, capacity))
 
 
-def _derivative(coupling: Coupling, level: Level) -> Float[Array, "m 3 k"]:
-    """Forces on the joints in contact, or on their nodes, by displacements of these."""
-    near, size = coupling.near, level.joints
-    rank = jnp.stack([near.rank[joint[: level.pairs]] for joint in joints_of(near)], 1)
+def _derivative(coupling: Coupling, capacity: Capacity) -> Float[Array, "m 3 k"]:
+    """Forces on the vertices in contact, or on their nodes, by displacements of these."""
+    pairs, size = coupling.pairs, capacity.vertices
+    rank = jnp.stack([pairs.rank[vertex[: capacity.pairs]] for vertex in vertices_of(pairs)], 1)
     # scattered by whole blocks, which is faster than by numbers
     blocks = jnp.zeros((size, size, 3, 3), coupling.derivative.dtype)
     index = (rank[:, :, None], rank[:, None, :])
-    blocks = blocks.at[index].add(coupling.derivative[: level.pairs], mode="drop")
-    if near.nodes is not None:
-        weight = _weights(coupling, size)[near.nodes[: level.nodes]]
+    blocks = blocks.at[index].add(coupling.derivative[: capacity.pairs], mode="drop")
+    if pairs.nodes is not None:
+        weight = _weights(coupling, size)[pairs.nodes[: capacity.nodes]]
         blocks = jnp.einsum("na,abij,mb->nmij", weight, blocks, weight)
     return jnp.swapaxes(blocks, 1, 2).reshape(-1, 3, 3 * blocks.shape[0])
 
 
 def _on_nodes(
-    coupling: Coupling, level: Level, rows: Float[Array, "m 3 k"]
+    coupling: Coupling, capacity: Capacity, rows: Float[Array, "m 3 k"]
 ) -> Float[Array, "nodes 3 k"]:
-    """Forces on all nodes from those on the joints in contact, or on their nodes."""
-    near = coupling.near
-    if near.nodes is None:
-        weight = _weights(coupling, level.joints)
+    """Forces on all nodes from those on the vertices in contact, or on their nodes."""
+    pairs = coupling.pairs
+    if pairs.nodes is None:
+        weight = _weights(coupling, capacity.vertices)
         return (weight @ rows.reshape(len(rows), -1)).reshape(-1, *rows.shape[1:])
     nothing = jnp.zeros((coupling.left.shape[0], *rows.shape[1:]), rows.dtype)
-    return nothing.at[near.nodes[: level.nodes]].set(rows)
+    return nothing.at[pairs.nodes[: capacity.nodes]].set(rows)
 
 
 def _weights(coupling: Coupling, size: int) -> Float[Array, "nodes m"]:
-    """Interpolation weights of the first joints, those in contact among them, at the nodes."""
-    where, chosen = coupling.where, coupling.near.order[:size]
+    """Interpolation weights of the first vertices, those in contact among them, at the nodes."""
+    sites, chosen = coupling.sites, coupling.pairs.order[:size]
     node = jnp.arange(coupling.left.shape[0], dtype=jnp.int32)[:, None, None]
-    at = node == where.nodes[chosen][None]
-    return jnp.sum(jnp.where(at, where.weight[chosen][None], 0.0), 2)
+    at = node == sites.nodes[chosen][None]
+    return jnp.sum(jnp.where(at, sites.weight[chosen][None], 0.0), 2)
 
 
 def _read(
-    coupling: Coupling, nodal: Float[Array, "nodes 3 c"], level: Level
+    coupling: Coupling, nodal: Float[Array, "nodes 3 c"], capacity: Capacity
 ) -> Float[Array, "k c"]:
-    """Displacements of the joints in contact, or of their nodes, from those of all nodes."""
-    where, near = coupling.where, coupling.near
-    if near.nodes is None:
-        chosen = near.order[: level.joints]
-        at, weight = where.nodes[chosen], where.weight[chosen]
+    """Displacements of the vertices in contact, or of their nodes, from those of all nodes."""
+    sites, pairs = coupling.sites, coupling.pairs
+    if pairs.nodes is None:
+        chosen = pairs.order[: capacity.vertices]
+        at, weight = sites.nodes[chosen], sites.weight[chosen]
         # term by term, since XLA would store the gathered nodes of all terms
         terms = [weight[:, j, None, None] * nodal[at[:, j]] for j in range(at.shape[1])]
         found = sum(terms[1:], terms[0])
     else:
-        found = nodal[near.nodes[: level.nodes]]
+        found = nodal[pairs.nodes[: capacity.nodes]]
     return found.reshape(-1, nodal.shape[2])
 
 
-def _joints(
-    coupling: Coupling, displacement: Float[Array, " k"], level: Level
+def _vertices(
+    coupling: Coupling, displacement: Float[Array, " k"], capacity: Capacity
 ) -> Float[Array, "j 3"]:
-    """Displacements of all joints from those of the joints in contact, or of their nodes."""
-    given, near = displacement.reshape(-1, 3), coupling.near
-    if near.nodes is None:
-        every = jnp.zeros((near.order.shape[0], 3), given.dtype)
-        return every.at[near.order[: level.joints]].set(given)
+    """Displacements of all vertices from those of the vertices in contact, or of their nodes."""
+    given, pairs = displacement.reshape(-1, 3), coupling.pairs
+    if pairs.nodes is None:
+        every = jnp.zeros((pairs.order.shape[0], 3), given.dtype)
+        return every.at[pairs.order[: capacity.vertices]].set(given)
     nodal = jnp.zeros((coupling.left.shape[0], 3), given.dtype)
-    return interpolate(coupling.where, nodal.at[near.nodes[: level.nodes]].set(given))
+    return interpolate(coupling.sites, nodal.at[pairs.nodes[: capacity.nodes]].set(given))
 
 
 def _response(
-    factors: Factors, coupling: Coupling, level: Level, forces: Float[Array, "nodes 3 k"]
+    factors: Factors, coupling: Coupling, capacity: Capacity, forces: Float[Array, "nodes 3 k"]
 ) -> Float[Array, "k k"]:
     """R^T A^-1 L times forces on the nodes: displacements in contact that they cause."""
     # A^-1 (L K), not (A^-1 L) K: a product of large matrices less
@@ -189,4 +191,4 @@ def _response(
     zero = jnp.zeros((9, forces.shape[2]), forces.dtype)
     _, middle = lax.scan(forward, zero, (carried, forces))
     rows = (factors.upper, middle, coupling.right)
-    return _read(coupling, lax.scan(backward, zero, rows, reverse=True)[1], level)
+    return _read(coupling, lax.scan(backward, zero, rows, reverse=True)[1], capacity)

@@ -23,7 +23,7 @@ from rodjax.equations.imbalance import (
     of_loads,
 )
 from rodjax.equations.schemes import AbstractScheme, Step
-from rodjax.interactions.self_contact import Nearby
+from rodjax.interactions.self_contact import FoundContact
 from rodjax.numerics import newton, rotations
 from rodjax.numerics.batching import one_by_one
 from rodjax.rods import balance
@@ -123,7 +123,7 @@ class Equations(eqx.Module, Generic[Scheme]):
         return lax.optimization_barrier(_Placed(motion, acceleration, change, increment))
 
     @property
-    def nearby(self) -> Nearby | None:
+    def found_contact(self) -> FoundContact | None:
         """Strands held to be near each other; None without contact, or where they are searched."""
         if self.found is None or self.scene.contact is None:
             return None
@@ -133,7 +133,7 @@ class Equations(eqx.Module, Generic[Scheme]):
     def residual(self, x):
         """Scaled residual."""
         placed = self._placed(x)
-        return self._residual(x, placed, of_contact(self.scene, placed.motion, self.nearby))
+        return self._residual(x, placed, of_contact(self.scene, placed.motion, self.found_contact))
 
     def _residual(self, x, placed: _Placed, push: Acting):
         scene, motion = self.scene, placed.motion
@@ -165,11 +165,11 @@ class Equations(eqx.Module, Generic[Scheme]):
         if contact is None:
             return (), None
         by_velocity = jnp.zeros_like(self.scales.force) if slopes is None else slopes.by_velocity
-        nearby = self.nearby
-        if nearby is None:
-            nearby = self.scene.find(motion.position)[-1]
+        found_contact = self.found_contact
+        if found_contact is None:
+            found_contact = self.scene.find(motion.position)[-1]
         held = self.projectors, self.scene.held_nodes
-        push, coupling = couple(contact, nearby, motion, by_velocity, *held, self.scales)
+        push, coupling = couple(contact, found_contact, motion, by_velocity, *held, self.scales)
         return (push,), coupling
 
     def _system(self, x, placed: _Placed, coupling: Coupling | None):
@@ -200,22 +200,24 @@ class Equations(eqx.Module, Generic[Scheme]):
 
         The lanes of a batch go together while nothing is near in any of them, else one by one.
         """
-        if self.nearby is None:
+        if self.found_contact is None:
             return newton.iterate(self, x, tolerance, max_iterations)
         arrays, rest = eqx.partition(self, eqx.is_array)
         given = (x, tolerance, max_iterations)
 
-        def touching(arrays, *given):
+        def coupled(arrays, *given):
             return newton.iterate_held(eqx.combine(arrays, rest), *given)
 
-        def apart(arrays, *given):
+        def uncoupled(arrays, *given):
             return newton.iterate(eqx.combine(arrays, rest).without_contact(), *given)
 
         def one(arrays, *given):
-            return lax.cond(arrays.nearby.near.count > 0, touching, apart, arrays, *given)
+            return lax.cond(
+                arrays.found_contact.pairs.count > 0, coupled, uncoupled, arrays, *given
+            )
 
-        easy = lambda arrays, *given: arrays.nearby.near.count == 0
-        return one_by_one(one, (easy, apart))(arrays, *given)
+        together = lambda arrays, *given: arrays.found_contact.pairs.count == 0
+        return one_by_one(one, (together, uncoupled))(arrays, *given)
 
     def without_contact(self) -> "Equations[Scheme]":
         """The equations of strands that do not feel each other."""

@@ -12,7 +12,7 @@ from jaxtyping import Array, Float
 
 from rodjax.inputs.argument_types import Number
 from rodjax.interactions.load import total_wrench
-from rodjax.interactions.self_contact import Nearby
+from rodjax.interactions.self_contact import FoundContact
 from rodjax.numerics import rotations
 from rodjax.rods import balance
 from rodjax.rods.balance import Internal
@@ -54,13 +54,13 @@ def of_loads(scene: Scene, motion: NodeMotion, load_factor: Factor | None = None
     return (_part(total_wrench(scene.loads, scene.rod, motion), load_factor),)
 
 
-def of_contact(scene: Scene, motion: NodeMotion, nearby: Nearby | None = None) -> Acting:
+def of_contact(scene: Scene, motion: NodeMotion, found: FoundContact | None = None) -> Acting:
     """What strands exert on the nodes, searched for where these are unless that is given."""
     contact = scene.self_contact
     if contact is None:
         return ()
-    found = scene.find(motion.position)[-1] if nearby is None else nearby
-    return (contact.exerted(scene.rod, motion, found),)
+    near = scene.find(motion.position)[-1] if found is None else found
+    return (contact.exerted(scene.rod, motion, near),)
 
 
 def acting_on(scene: Scene, motion: NodeMotion, load_factor: Factor | None = None) -> Acting:

@@ -21,10 +21,10 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from rodjax.inputs.validation import all_known
-from rodjax.interactions.contact import Contact, Sites, along, interpolate, sites
+from rodjax.interactions.contact import Contact, Sites, along, interpolate, sites_of
 from rodjax.interactions.contact_energy import pair_energy
 from rodjax.interactions.contact_laws import PairProperties
-from rodjax.interactions.self_contact import Nearby
+from rodjax.interactions.self_contact import FoundContact
 from rodjax.numerics import newton
 from rodjax.numerics.batching import only_where
 from rodjax.numerics.compilation import compiled
@@ -70,21 +70,24 @@ def distances_held(scene: Scene) -> Float[Array, " g"] | None:
 
 
 def too_near(
-    contact: Contact, nearby: Nearby, held: Float[Array, " g"], position: Float[Array, "nodes 3"]
+    contact: Contact,
+    found: FoundContact,
+    held: Float[Array, " g"],
+    position: Float[Array, "nodes 3"],
 ) -> Bool[Array, ""]:
     """Whether strands, of the pairs found near, are nearer than the contact can hold them."""
-    contact, nearby, position = newton.constant((contact, nearby, position))
-    where, near = nearby
+    contact, found, position = newton.constant((contact, found, position))
+    sites, pairs = found
 
     def some(position):
-        joints = interpolate(where, position)
-        places = _between(jnp, joints, near.first, near.second, where, contact)
-        valid = jnp.arange(near.first.shape[0], dtype=jnp.int32) < near.count
-        limit = 0.5 * (held[near.first] + held[near.second])
+        vertices = interpolate(sites, position)
+        places = _between(jnp, vertices, pairs.first, pairs.second, sites, contact)
+        valid = jnp.arange(pairs.first.shape[0], dtype=jnp.int32) < pairs.count
+        limit = 0.5 * (held[pairs.first] + held[pairs.second])
         near_by = valid & (places.along >= contact.excluded) & (places.distance < limit)
         return jnp.any(near_by)
 
-    return only_where(near.count > 0, some, lambda _: jnp.asarray(False), position)
+    return only_where(pairs.count > 0, some, lambda _: jnp.asarray(False), position)
 
 
 class _Between(NamedTuple):
@@ -96,16 +99,16 @@ class _Between(NamedTuple):
     distance: Array  # of the centrelines [m]
 
 
-def _between(xp, joints, a, b, where: Sites, contact: Contact) -> _Between:
+def _between(xp, vertices, a, b, sites: Sites, contact: Contact) -> _Between:
     """Of the segments a and b, by numpy or jax.numpy."""
-    length = where.spacing * contact.points_per_segment
-    u, v, distance = _closest(xp, *(x for i in (a, b) for x in (joints[i], joints[i + 1])))
+    length = sites.spacing * contact.points_per_segment
+    u, v, distance = _closest(xp, *(x for i in (a, b) for x in (vertices[i], vertices[i + 1])))
     first, second = (a.astype(u.dtype) + u) * length, (b.astype(v.dtype) + v) * length
-    return _Between(first, second, along(where, first, second, xp), distance)
+    return _Between(first, second, along(sites, first, second, xp), distance)
 
 
 class _Limits(NamedTuple):
-    where: Sites
+    sites: Sites
     held: Float[Array, " g"]  # of each segment
     excluded: Float[Array, ""]
 
@@ -114,11 +117,11 @@ class _Limits(NamedTuple):
 def _limits(scene: Scene) -> _Limits:
     contact = scene.contact
     assert contact is not None
-    where = sites(contact, scene.rod, scene.closed)
+    sites = sites_of(contact, scene.rod, scene.closed)
     middle = lambda v: v[:, v.shape[1] // 2]
-    mass = None if where.mass is None else middle(where.mass)
-    held = least_held(contact, PairProperties(middle(where.diameter), mass))
-    return _Limits(where, held, contact.excluded)
+    mass = None if sites.mass is None else middle(sites.mass)
+    held = least_held(contact, PairProperties(middle(sites.diameter), mass))
+    return _Limits(sites, held, contact.excluded)
 
 
 def deepest(scene: Scene, position) -> Overlap | None:
@@ -128,18 +131,18 @@ def deepest(scene: Scene, position) -> Overlap | None:
     contact = scene.contact
     if contact is None or not np.all(np.isfinite(np.asarray(position))):
         return None
-    where, held, excluded = jax.tree.map(np.asarray, _limits(scene))
-    joints = np.einsum("jk,jkc->jc", where.weight, np.asarray(position)[where.nodes])
-    middles = 0.5 * (joints[1:] + joints[:-1])
-    reach = np.max(held) + np.sqrt(np.max(np.sum(np.diff(joints, axis=0) ** 2, 1)))
+    sites, held, excluded = jax.tree.map(np.asarray, _limits(scene))
+    vertices = np.einsum("jk,jkc->jc", sites.weight, np.asarray(position)[sites.nodes])
+    middles = 0.5 * (vertices[1:] + vertices[:-1])
+    reach = np.max(held) + np.sqrt(np.max(np.sum(np.diff(vertices, axis=0) ** 2, 1)))
     a, b = KDTree(middles).query_pairs(reach, output_type="ndarray").T
-    found = _between(np, joints, a, b, where, contact)
+    found = _between(np, vertices, a, b, sites, contact)
     limit = 0.5 * (held[a] + held[b])
     near = (found.distance < limit) & (found.along >= excluded)
     if not np.any(near):
         return None
     i = np.argmin(np.where(near, found.distance / np.where(limit > 0, limit, 1.0), np.inf))
-    diameter = np.mean(where.diameter[[a[i], b[i]]])
+    diameter = np.mean(sites.diameter[[a[i], b[i]]])
     return Overlap(*map(float, (found.first[i], found.second[i], found.distance[i], limit[i],
                                 diameter)))  # fmt: skip
 
@@ -175,12 +178,12 @@ def check_apart(scene: Scene, state: State) -> None:
     if scene.contact is None or not _known(scene, state):
         return
     scene.contact.check(scene.rod)
-    where = deepest(scene, state.position)
-    if where is None:
+    place = deepest(scene, state.position)
+    if place is None:
         return
     raise ValueError(
-        f"position: the strands at s = {where.first:.4g} and {where.second:.4g} are"
-        f" {where.distance:.3g} apart ({where.distance / where.diameter:.2g} diameters), and the"
-        f" contact law holds strands that cross no nearer than {where.held:.3g}; start them apart,"
+        f"position: the strands at s = {place.first:.4g} and {place.second:.4g} are"
+        f" {place.distance:.3g} apart ({place.distance / place.diameter:.2g} diameters), and the"
+        f" contact law holds strands that cross no nearer than {place.held:.3g}; start them apart,"
         " or do without contact"
     )

@@ -7,8 +7,8 @@ from jaxtyping import Array, Float, Int
 from rodjax.equations.assembly import AS_COLUMNS
 from rodjax.equations.coupling import Coupling
 from rodjax.interactions import contact_graph
+from rodjax.interactions.contact_capacities import Capacity
 from rodjax.interactions.contact_graph import Graph
-from rodjax.interactions.contact_levels import Level
 from rodjax.numerics import frontal
 from rodjax.numerics.block_tridiagonal import BlockTridiagonal
 from rodjax.numerics.frontal import FrontalFactors
@@ -21,14 +21,16 @@ class StripElimination(eqx.Module):
     factors: FrontalFactors
 
     @classmethod
-    def of(cls, blocks: BlockTridiagonal, coupling: Coupling, level: Level) -> "StripElimination":
-        """Of blocks + coupling, whose nodes the front of the level must hold."""
+    def of(
+        cls, blocks: BlockTridiagonal, coupling: Coupling, capacity: Capacity
+    ) -> "StripElimination":
+        """Of blocks + coupling, whose nodes the front of the capacity must hold."""
         parts = (_permuted(part) for part in (blocks.lower, blocks.diagonal, blocks.upper))
-        graph, size = _graph(coupling), level.front
+        graph, size = _graph(coupling), capacity.front
         assert size is not None
         # ends take the directions that they hold out of the forces on their nodes
         left = coupling.left[:, 3:6]
-        given = coupling.where, coupling.near.count, coupling.derivative
+        given = coupling.sites, coupling.pairs.count, coupling.derivative
         far = contact_graph.distant(graph, *given, left)
         return cls(frontal.factorize(BlockTridiagonal(*parts), far, graph.order, size))
 
@@ -56,9 +58,9 @@ class StripElimination(eqx.Module):
         return self.factors.rows, jnp.zeros((0,), jnp.int32)
 
     @classmethod
-    def from_numbers(cls, coupling, level, rows, order) -> "StripElimination":
+    def from_numbers(cls, coupling, capacity, rows, order) -> "StripElimination":
         """What gave these numbers."""
-        return cls(FrontalFactors(_graph(coupling).order, rows, level.front))
+        return cls(FrontalFactors(_graph(coupling).order, rows, capacity.front))
 
 
 def _permuted(rows):
@@ -67,6 +69,6 @@ def _permuted(rows):
 
 
 def _graph(coupling: Coupling) -> Graph:
-    graph = coupling.near.graph
+    graph = coupling.pairs.graph
     assert graph is not None
     return graph

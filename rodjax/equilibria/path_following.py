@@ -259,8 +259,8 @@ def _overflow(equations: Equations[AtRest], x) -> Int[Array, ""]:
     """A code that tells whether pairs in contact were left out."""
     if equations.scene.contact is None:
         return results.as_code(Result.SUCCESS)
-    near = equations.scene.find(equations.motion(x).position)[-1].near
-    return jnp.where(near.overflow, Result.CAPACITY_OVERFLOW, Result.SUCCESS).astype(jnp.int32)
+    pairs = equations.scene.find(equations.motion(x).position)[-1].pairs
+    return jnp.where(pairs.overflow, Result.CAPACITY_OVERFLOW, Result.SUCCESS).astype(jnp.int32)
 
 
 def _configuration(equations: Equations[AtRest], x) -> tuple[Reference, Float[Array, "n 3"]]:

@@ -84,19 +84,19 @@ def _count(equations: Equations[AtRest], x, added: Float[Array, "nodes 6"]) -> I
     if scene.contact is None:
         return counted(CoupledSystem(blocks), *held, even)
     motion = equations.motion(x)
-    nearby = scene.find(motion.position)[-1]
+    found = scene.find(motion.position)[-1]
     still, nowhere = jnp.zeros((), x.dtype), (jnp.zeros((0, 6, 6), x.dtype), ())
-    coupling = couple(scene.contact, nearby, motion, still, *nowhere, equations.scales)[1]
+    coupling = couple(scene.contact, found, motion, still, *nowhere, equations.scales)[1]
     derivative = jnp.where(even, coupling.symmetric().derivative, coupling.derivative)
     coupling = dataclasses.replace(coupling, derivative=derivative)
     apart = lambda blocks, coupling, *rest: counted(CoupledSystem(blocks), *rest)
     touching = lambda blocks, coupling, *rest: counted(CoupledSystem(blocks, coupling), *rest)
 
     def one(blocks, coupling, *rest):
-        return lax.cond(coupling.near.level > 0, touching, apart, blocks, coupling, *rest)
+        return lax.cond(coupling.pairs.capacity > 0, touching, apart, blocks, coupling, *rest)
 
     # under `vmap` those that touch one by one
-    easy = lambda blocks, coupling, *rest: coupling.near.level == 0
+    easy = lambda blocks, coupling, *rest: coupling.pairs.capacity == 0
     return one_by_one(one, (easy, apart))(blocks, coupling, *held, even)
 
 

@@ -1,6 +1,6 @@
 """Self-contact: its parameters, and how the rod is divided for it.
 
-For contact the rod is a chain of equal segments of its own, whatever the grid: their joints move
+For contact the rod is a chain of equal segments of its own, whatever the grid: their vertices move
 with the nodes beside them, and each segment carries a few quadrature points. `screening` finds
 the segments near each other, `contact_forces` sums the law over the points of such pairs.
 """
@@ -50,12 +50,12 @@ class Contact(eqx.Module):
             vanishes by itself before (`AbstractLaw.extent`).
         exclusion: points closer than this along the rod never interact [m]; default 1.5 cutoff.
             Must not be less than the cut-off, or a straight rod would repel itself.
-        capacities: numbers of joints in contact for which a dense solver is compiled, increasing;
+        capacities: numbers of vertices in contact for which a dense solver is compiled, increasing;
             the smallest that fits is used at each step, and a run that outgrows the largest says
-            so. Default: 64, and all joints; between them, where there are more than a hundred, a
-            solver for strips of strands whose cost is linear in the elements (`contact_levels`;
+            so. Default: 64, and all vertices; between them, where there are more than a hundred, a
+            solver for strips of strands whose cost is linear in the elements (`contact_capacities`;
             dense ones by doubling where JAX's default backend is no CPU). Under `vmap` give one.
-        pairs_per_segment: capacity of the list of near pairs, per joint of `capacities`. Default:
+        pairs_per_segment: capacity of the list of near pairs, per vertex of `capacities`. Default:
             what two strands side by side need, by the rod of the scene; 4 where its length or the
             cut-off is not known, as in traced code.
         listed: set by the scene, see `fitted`.
@@ -94,12 +94,12 @@ class Contact(eqx.Module):
         sizes = self.capacities
         if sizes is not None:
             if not isinstance(sizes, tuple) or not sizes:
-                raise ValueError(f"capacities: give a tuple of numbers of joints, got {sizes!r}")
+                raise ValueError(f"capacities: give a tuple of numbers of vertices, got {sizes!r}")
             check_integer(2, **{f"capacities[{i}]": size for i, size in enumerate(sizes)})
             if list(sizes) != sorted(set(sizes)):
                 raise ValueError(f"capacities: must increase, got {sizes}")
-        joints = min(self.sizes[-1], self.segments + 1)
-        pairs = (self.pairs_per_segment or 1) * joints
+        vertices = min(self.sizes[-1], self.segments + 1)
+        pairs = (self.pairs_per_segment or 1) * vertices
         if pairs > 1_000_000:
             raise ValueError(
                 f"pairs_per_segment: lists of {pairs} pairs are too long;"
@@ -205,7 +205,7 @@ class Contact(eqx.Module):
         return dataclasses.replace(self, listed=listed)
 
     def _partners(self, rod: Rod) -> int:
-        """Partners of a joint on one strand beside it, at the worst distance, each pair once."""
+        """Partners of a vertex on one strand beside it, at the worst distance, each pair once."""
         length = np.max(np.sum(np.asarray(rod.length), -1)) / self.segments
         reach = np.asarray(self.cutoff)
         if self.acting_aperture is None:
@@ -222,7 +222,7 @@ class Contact(eqx.Module):
 
     @property
     def room(self) -> int:
-        """Near pairs that the list holds, per joint of `capacities`."""
+        """Near pairs that the list holds, per vertex of `capacities`."""
         return self.pairs_per_segment or self.listed or 4
 
     @property
@@ -232,21 +232,21 @@ class Contact(eqx.Module):
 
     @property
     def sizes(self) -> tuple[int, ...]:
-        """Numbers of joints for which a solver is compiled."""
-        joints = self.segments + 1
+        """Numbers of vertices for which a solver is compiled."""
+        vertices = self.segments + 1
         if self.capacities is not None:
-            return tuple(sorted({min(size, joints) for size in self.capacities}))
+            return tuple(sorted({min(size, vertices) for size in self.capacities}))
         sizes = [64]
-        while sizes[-1] < joints:
+        while sizes[-1] < vertices:
             sizes.append(2 * sizes[-1])
-        # each size costs compile time: none that nearly is all joints
-        return (*[size for size in sizes if size < 0.7 * joints], joints)
+        # each size costs compile time: none that nearly is all vertices
+        return (*[size for size in sizes if size < 0.7 * vertices], vertices)
 
 
 class Sites(NamedTuple):
-    """Where joints and points lie on the grid."""
+    """Where vertices and points lie on the grid."""
 
-    nodes: Int[Array, "j k"]  # between which a joint is interpolated, k = 4 or all of them
+    nodes: Int[Array, "j k"]  # between which a vertex is interpolated, k = 4 or all of them
     weight: Float[Array, "j k"]  # of each
     arc_length: Float[Array, "g p"]  # of the points of every segment
     spacing: Float[Array, ""]  # of the points
@@ -255,7 +255,7 @@ class Sites(NamedTuple):
     around: Float[Array, ""] | None = None  # length of a closed rod, infinite if it is open
 
 
-def sites(contact: Contact, rod: Rod, closed: bool | Bool[Array, ""] = False) -> Sites:
+def sites_of(contact: Contact, rod: Rod, closed: bool | Bool[Array, ""] = False) -> Sites:
     """Joints at equal arcs, points at the middles of equal parts of every segment.
 
     Of a `closed` rod, whose ends are at one place, the shorter way counts (`Scene.closed`).
@@ -271,26 +271,26 @@ def sites(contact: Contact, rod: Rod, closed: bool | Bool[Array, ""] = False) ->
         place = jnp.searchsorted(nodes, s, side="right", method="compare_all")
         return jnp.clip(place - 1, 0, rod.elements - 1)
 
-    joints = total / contact.segments * jnp.arange(contact.segments + 1, dtype=total.dtype)
+    vertices = total / contact.segments * jnp.arange(contact.segments + 1, dtype=total.dtype)
     stencil = min(4, rod.elements + 1)
-    first = jnp.clip(element(joints) - 1, 0, rod.elements + 1 - stencil)
+    first = jnp.clip(element(vertices) - 1, 0, rod.elements + 1 - stencil)
     chosen = first[:, None] + jnp.arange(stencil, dtype=first.dtype)[None]
     index = jnp.arange(contact.segments * contact.points_per_segment, dtype=total.dtype)
     s = ((index + 0.5) * spacing).reshape(contact.segments, contact.points_per_segment)
     at = element(s)
     mass = None if rod.mass is None else rod.mass[at]
     assert rod.diameter is not None
-    weight = _lagrange(nodes[chosen], joints[:, None])
+    weight = _lagrange(nodes[chosen], vertices[:, None])
     around = None
     if closed is not False:
         around = lax.stop_gradient(jnp.where(closed, total, jnp.inf))
     return Sites(chosen, weight, s, spacing, rod.diameter[at], mass, around)
 
 
-def along(where: Sites, a, b, xp=jnp):
+def along(sites: Sites, a, b, xp=jnp):
     """Distance along the rod between places on it [m], by numpy or jax.numpy."""
     direct = xp.abs(b - a)
-    return direct if where.around is None else xp.minimum(direct, where.around - direct)
+    return direct if sites.around is None else xp.minimum(direct, sites.around - direct)
 
 
 def _lagrange(nodes: Float[Array, "j k"], s: Float[Array, "j 1"]) -> Float[Array, "j k"]:
@@ -300,12 +300,12 @@ def _lagrange(nodes: Float[Array, "j k"], s: Float[Array, "j 1"]) -> Float[Array
     return jnp.prod(jnp.where(own, 1.0, (s - nodes)[:, None, :] / apart), 2)
 
 
-def interpolate(where: Sites, nodal: Float[Array, "nodes c"]) -> Float[Array, "j c"]:
-    """Values at the joints."""
-    return jnp.sum(where.weight[:, :, None] * nodal[where.nodes], 1)
+def interpolate(sites: Sites, nodal: Float[Array, "nodes c"]) -> Float[Array, "j c"]:
+    """Values at the vertices."""
+    return jnp.sum(sites.weight[:, :, None] * nodal[sites.nodes], 1)
 
 
-def spread(where: Sites, values: Float[Array, "j c"], nodes: int) -> Float[Array, "nodes c"]:
-    """The transpose of `interpolate`: forces on joints to forces on nodes."""
+def spread(sites: Sites, values: Float[Array, "j c"], nodes: int) -> Float[Array, "nodes c"]:
+    """The transpose of `interpolate`: forces on vertices to forces on nodes."""
     out = jnp.zeros((nodes, values.shape[1]), values.dtype)
-    return out.at[where.nodes].add(where.weight[:, :, None] * values[:, None, :])
+    return out.at[sites.nodes].add(sites.weight[:, :, None] * values[:, None, :])

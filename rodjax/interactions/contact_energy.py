@@ -11,10 +11,10 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Bool, Float
 
-from rodjax.interactions.contact import Contact, Sites, along, interpolate, sites
+from rodjax.interactions.contact import Contact, Sites, along, interpolate, sites_of
 from rodjax.interactions.contact_forces import smooth_step
 from rodjax.interactions.contact_laws import PairProperties, continued_potential
-from rodjax.interactions.screening import BLOCK, Near, search
+from rodjax.interactions.screening import BLOCK, NearPairs, search
 from rodjax.rods.rod import Rod
 
 # of Gauss, in (0, 1)
@@ -68,42 +68,42 @@ def contact_energy(
     an aperture leaves the force without potential. `closed` is that of the scene.
     """
     contact = contact.fitted(rod)
-    where = sites(contact, rod, closed)
-    return stored(contact, where, search(contact, where, position), position)
+    sites = sites_of(contact, rod, closed)
+    return stored(contact, sites, search(contact, sites, position), position)
 
 
 def stored(
-    contact: Contact, where: Sites, near: Near, position: Float[Array, "nodes 3"]
+    contact: Contact, sites: Sites, pairs: NearPairs, position: Float[Array, "nodes 3"]
 ) -> Float[Array, ""]:
     """`contact_energy` for a list of pairs found before."""
-    joints = interpolate(where, position)
+    vertices = interpolate(sites, position)
     count = contact.points_per_segment
     part = (jnp.arange(count, dtype=position.dtype) + 0.5) / count
-    padded = -(-near.first.shape[0] // BLOCK) * BLOCK
-    index = jnp.arange(padded, dtype=near.count.dtype).reshape(-1, BLOCK)
+    padded = -(-pairs.first.shape[0] // BLOCK) * BLOCK
+    index = jnp.arange(padded, dtype=pairs.count.dtype).reshape(-1, BLOCK)
 
     def points(segment):
-        a, b = joints[segment][:, None], joints[segment + 1][:, None]
+        a, b = vertices[segment][:, None], vertices[segment + 1][:, None]
         return a + part[None, :, None] * (b - a)
 
     def evaluate(at):
-        first, second = near.first[at], near.second[at]
+        first, second = pairs.first[at], pairs.second[at]
         at_a, at_b = lambda v: v[first][:, :, None], lambda v: v[second][:, None, :]
         r = points(second)[:, None, :] - points(first)[:, :, None]
         squared = jnp.sum(r**2, -1)
-        s, mean = where.arc_length, lambda v: 0.5 * (at_a(v) + at_b(v))
-        acts = along(where, at_a(s), at_b(s)) >= contact.excluded
-        acts = acts & (at < near.count)[:, None, None] & (squared > 0)
+        s, mean = sites.arc_length, lambda v: 0.5 * (at_a(v) + at_b(v))
+        acts = along(sites, at_a(s), at_b(s)) >= contact.excluded
+        acts = acts & (at < pairs.count)[:, None, None] & (squared > 0)
         acts = acts & (squared < contact.cutoff**2)
         distance = jnp.sqrt(jnp.where(acts, squared, contact.cutoff**2))
-        mass = None if where.mass is None else mean(where.mass)
-        energy = pair_energy(contact, distance, PairProperties(mean(where.diameter), mass))
-        return where.spacing**2 * jnp.sum(jnp.where(acts, energy, 0.0))
+        mass = None if sites.mass is None else mean(sites.mass)
+        energy = pair_energy(contact, distance, PairProperties(mean(sites.diameter), mass))
+        return sites.spacing**2 * jnp.sum(jnp.where(acts, energy, 0.0))
 
     def block(total, at):
         again = jax.checkpoint(evaluate, prevent_cse=False)
         none = lambda at: jnp.zeros((), position.dtype)
-        return total + lax.cond(at[0] < near.count, again, none, at), None
+        return total + lax.cond(at[0] < pairs.count, again, none, at), None
 
     total = lax.scan(block, jnp.zeros((), position.dtype), index)[0]
     return jnp.where(has_potential(contact), total, jnp.nan)

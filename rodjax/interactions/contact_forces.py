@@ -8,9 +8,9 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool, Float
 
-from rodjax.interactions.contact import Contact, Sites, along, interpolate, sites, spread
+from rodjax.interactions.contact import Contact, Sites, along, interpolate, sites_of, spread
 from rodjax.interactions.contact_laws import PairProperties, continued
-from rodjax.interactions.screening import BLOCK, Near, search
+from rodjax.interactions.screening import BLOCK, NearPairs, search
 from rodjax.numerics.batching import largest, one_by_one
 from rodjax.rods.rod import Rod
 
@@ -47,27 +47,27 @@ def window(contact: Contact, distance, pair: PairProperties, cosines=()):
 class PairForces(NamedTuple):
     """Interaction of a list of pairs of segments.
 
-    The four joints of a pair are those of its first, then of its second segment; entries beyond
-    `Near.count` are zero.
+    The four vertices of a pair are those of its first, then of its second segment; entries beyond
+    `NearPairs.count` are zero.
     """
 
-    force: Float[Array, "j 3"]  # on the joints [N]
-    derivative: Float[Array, "q 4 4 3 3"] | None  # of minus the force, joint by joint [N/m]
+    force: Float[Array, "j 3"]  # on the vertices [N]
+    derivative: Float[Array, "q 4 4 3 3"] | None  # of minus the force, vertex by vertex [N/m]
     smallest: Float[Array, ""]  # least d/D of the points that act; infinite without one
     total: Float[Array, ""]  # sum of the magnitudes of all forces between points [N]
 
 
-def joints_of(near: Near) -> tuple[Array, Array, Array, Array]:
-    """Indices of the four joints of every pair."""
-    return near.first, near.first + 1, near.second, near.second + 1
+def vertices_of(pairs: NearPairs) -> tuple[Array, Array, Array, Array]:
+    """Indices of the four vertices of every pair."""
+    return pairs.first, pairs.first + 1, pairs.second, pairs.second + 1
 
 
 @eqx.filter_custom_jvp
 def forces_and_derivative(
     contact: Contact,
-    where: Sites,
-    near: Near,
-    joints: Float[Array, "j 3"],
+    sites: Sites,
+    pairs: NearPairs,
+    vertices: Float[Array, "j 3"],
     velocities: Float[Array, "j 3"],
     by_velocity: Float[Array, ""],
 ) -> PairForces:
@@ -76,15 +76,17 @@ def forces_and_derivative(
     arrays, rest = eqx.partition(contact, eqx.is_array)
 
     def of(function):
-        whole = lambda joints, arrays, *given: function(joints, eqx.combine(arrays, rest), *given)
+        whole = lambda vertices, arrays, *given: function(
+            vertices, eqx.combine(arrays, rest), *given
+        )
         return whole
 
-    in_use = one_by_one(of(_pairs_in_use), easy=(of(_nothing_near), of(_no_pairs)))
-    return in_use(joints, arrays, where, near, velocities, by_velocity)
+    in_use = one_by_one(of(_pairs_in_use), together=(of(_nothing_near), of(_no_pairs)))
+    return in_use(vertices, arrays, sites, pairs, velocities, by_velocity)
 
 
-def _pairs_in_use(joints, contact, where, near, velocities, by_velocity) -> PairForces:
-    evaluate, rows, empty = _blocks(contact, where, near, joints, velocities, by_velocity)
+def _pairs_in_use(vertices, contact, sites, pairs, velocities, by_velocity) -> PairForces:
+    evaluate, rows, empty = _blocks(contact, sites, pairs, vertices, velocities, by_velocity)
 
     def body(i, found):
         now = evaluate(jax.tree.map(lambda leaf: leaf[i], rows))
@@ -94,23 +96,23 @@ def _pairs_in_use(joints, contact, where, near, velocities, by_velocity) -> Pair
         buffers = jax.tree.map(
             lambda leaf: jnp.broadcast_to(leaf, (len(rows[0]), *leaf.shape)), empty
         )
-        used = (near.count + BLOCK - 1) // BLOCK
-        return _joined(near, joints, lax.fori_loop(0, used, body, buffers))
+        used = (pairs.count + BLOCK - 1) // BLOCK
+        return _joined(pairs, vertices, lax.fori_loop(0, used, body, buffers))
 
-    none = lambda: _no_pairs(joints, contact, where, near, velocities, by_velocity)
-    return lax.cond(near.count > 0, some, none)
+    none = lambda: _no_pairs(vertices, contact, sites, pairs, velocities, by_velocity)
+    return lax.cond(pairs.count > 0, some, none)
 
 
-def _no_pairs(joints, contact, where, near, velocities, by_velocity) -> PairForces:
-    dtype = joints.dtype
-    derivative = jnp.zeros((near.first.shape[0], 4, 4, 3, 3), dtype)
+def _no_pairs(vertices, contact, sites, pairs, velocities, by_velocity) -> PairForces:
+    dtype = vertices.dtype
+    derivative = jnp.zeros((pairs.first.shape[0], 4, 4, 3, 3), dtype)
     return PairForces(
-        jnp.zeros_like(joints), derivative, jnp.asarray(jnp.inf, dtype), jnp.zeros((), dtype)
+        jnp.zeros_like(vertices), derivative, jnp.asarray(jnp.inf, dtype), jnp.zeros((), dtype)
     )
 
 
-def _nothing_near(joints, contact, where, near, velocities, by_velocity) -> Bool[Array, ""]:
-    return near.count == 0
+def _nothing_near(vertices, contact, sites, pairs, velocities, by_velocity) -> Bool[Array, ""]:
+    return pairs.count == 0
 
 
 @forces_and_derivative.def_jvp
@@ -121,9 +123,9 @@ def _forces_and_derivative_jvp(primals, tangents):
 
 def pair_forces(
     contact: Contact,
-    where: Sites,
-    near: Near,
-    joints: Float[Array, "j 3"],
+    sites: Sites,
+    pairs: NearPairs,
+    vertices: Float[Array, "j 3"],
     velocities: Float[Array, "j 3"],
     by_velocity: Float[Array, ""] | None = None,
 ) -> PairForces:
@@ -138,41 +140,41 @@ def pair_forces(
     there are any; by the chord l t_a it is n P_a (n - (n.t_a) t_a)^T / l. Blocks of the list that
     are not in use are skipped.
     """
-    evaluate, rows, empty = _blocks(contact, where, near, joints, velocities, by_velocity)
-    count = largest(near.count)
+    evaluate, rows, empty = _blocks(contact, sites, pairs, vertices, velocities, by_velocity)
+    count = largest(pairs.count)
     skip = lambda _: empty
     # recomputed in a reverse pass: stored block by block, its values fill a hundred arrays
     again = jax.checkpoint(evaluate, prevent_cse=False)
     block = lambda _, row: (None, lax.cond(row[0] < count, again, skip, row))
-    return _joined(near, joints, lax.scan(block, None, rows)[1])
+    return _joined(pairs, vertices, lax.scan(block, None, rows)[1])
 
 
-def _joined(near: Near, joints, found: PairForces) -> PairForces:
-    """The blocks' results as those of the list; forces, by blocks those of the pairs, at joints."""
-    flat = lambda v: v.reshape(-1, *v.shape[2:])[: near.first.shape[0]]
+def _joined(pairs: NearPairs, vertices, found: PairForces) -> PairForces:
+    """The blocks' results as those of the list; forces, by blocks of the pairs, at vertices."""
+    flat = lambda v: v.reshape(-1, *v.shape[2:])[: pairs.first.shape[0]]
     return PairForces(
-        gather(near, flat(found.force), joints.shape[0]),
+        gather(pairs, flat(found.force), vertices.shape[0]),
         None if found.derivative is None else flat(found.derivative),
         jnp.min(found.smallest),
         jnp.sum(found.total),
     )
 
 
-def _blocks(contact, where, near, joints, velocities, by_velocity):
-    """What evaluates a block of pairs; the blocks (first places and joints); an empty one's result.
+def _blocks(contact, sites, pairs, vertices, velocities, by_velocity):
+    """What evaluates a block of pairs; the blocks (first place, vertices); an empty one's result.
 
-    Forces are those on the four joints of every pair.
+    Forces are those on the four vertices of every pair.
     """
     count, screened = contact.points_per_segment, contact.acting_aperture is not None
-    part = (jnp.arange(count, dtype=joints.dtype) + 0.5) / count
+    part = (jnp.arange(count, dtype=vertices.dtype) + 0.5) / count
     one, other = jnp.broadcast_arrays(part[:, None], part[None, :])
-    # x_b - x_a = sum_i mix[a, b, i] X_i over the four joints
+    # x_b - x_a = sum_i mix[a, b, i] X_i over the four vertices
     mix = jnp.stack([one - 1, -one, 1 - other, other], -1)
-    index = jnp.stack(joints_of(near), 1)
-    capacity = index.shape[0]
-    padded = -(-capacity // BLOCK) * BLOCK
+    index = jnp.stack(vertices_of(pairs), 1)
+    room = index.shape[0]
+    padded = -(-room // BLOCK) * BLOCK
     # filled up with a segment and itself, which does not act but has a length
-    filling = jnp.broadcast_to(jnp.asarray([0, 1, 0, 1], index.dtype), (padded - capacity, 4))
+    filling = jnp.broadcast_to(jnp.asarray([0, 1, 0, 1], index.dtype), (padded - room, 4))
     index = jnp.concatenate([index, filling])
     at_a = lambda v, i: v[i[:, 0]][:, :, None]
     at_b = lambda v, i: v[i[:, 2]][:, None, :]
@@ -180,14 +182,14 @@ def _blocks(contact, where, near, joints, velocities, by_velocity):
     def evaluate(row):
         first, index = row
         # components lead: arrays with a last axis of three are slow on a CPU
-        valid = first + jnp.arange(BLOCK, dtype=jnp.int32) < near.count
-        s, mean = where.arc_length, lambda v: 0.5 * (at_a(v, index) + at_b(v, index))
+        valid = first + jnp.arange(BLOCK, dtype=jnp.int32) < pairs.count
+        s, mean = sites.arc_length, lambda v: 0.5 * (at_a(v, index) + at_b(v, index))
         pair = PairProperties(
-            mean(where.diameter), None if where.mass is None else mean(where.mass)
+            mean(sites.diameter), None if sites.mass is None else mean(sites.mass)
         )
-        acts = along(where, at_a(s, index), at_b(s, index)) >= contact.excluded
+        acts = along(sites, at_a(s, index), at_b(s, index)) >= contact.excluded
         between = lambda v: jnp.einsum("abi,qik->kqab", mix, v[index])
-        r, w = between(joints), between(velocities)
+        r, w = between(vertices), between(velocities)
         squared = jnp.sum(r**2, 0)
         acts = acts & valid[:, None, None] & (squared > 0)
         # pairs that do not act are put at the cut-off, where everything is zero and smooth
@@ -196,7 +198,7 @@ def _blocks(contact, where, near, joints, velocities, by_velocity):
         opening = jnp.sum(n * w, 0)
         cosines = ()
         if screened:
-            corner = joints[index]  # (q, 4, 3)
+            corner = vertices[index]  # (q, 4, 3)
             chords = corner[:, 1::2] - corner[:, ::2]
             lengths = jnp.sqrt(jnp.sum(chords**2, -1))
             t = jnp.moveaxis(chords / lengths[..., None], 2, 0)[..., None, None]
@@ -205,7 +207,7 @@ def _blocks(contact, where, near, joints, velocities, by_velocity):
 
         def magnitude(d, c, *cosines):
             psi = continued(contact.law, d, c, pair)
-            return psi * window(contact, d, pair, cosines) * where.spacing**2
+            return psi * window(contact, d, pair, cosines) * sites.spacing**2
 
         inputs = (distance, -opening, *cosines)
         if by_velocity is None:
@@ -233,23 +235,23 @@ def _blocks(contact, where, near, joints, velocities, by_velocity):
             nothing = lambda: (point, point, *(vector for _ in range(3 if screened else 1)))
             # always so; but what a branch returns is stored, and XLA would otherwise evaluate it
             # anew for every one of the numbers below
-            p, over, g, *by_chords = lax.cond(first < near.count, slopes, nothing)
-            h = _by_joints(mix, n, over, g, by_chords)
+            p, over, g, *by_chords = lax.cond(first < pairs.count, slopes, nothing)
+            h = _by_vertices(mix, n, over, g, by_chords)
         force = jnp.einsum("abi,kqab->qik", mix, p[None] * n)
         ratio = jnp.min(jnp.where(p != 0, distance / pair.diameter, jnp.inf))
         return PairForces(force, h, ratio, jnp.sum(jnp.abs(p)))
 
     rows = jnp.arange(0, padded, BLOCK, dtype=jnp.int32), index.reshape(-1, BLOCK, 4)
-    zeros = lambda *shape: jnp.zeros(shape, joints.dtype)
+    zeros = lambda *shape: jnp.zeros(shape, vertices.dtype)
     derivative = None if by_velocity is None else zeros(BLOCK, 4, 4, 3, 3)
     empty = PairForces(zeros(BLOCK, 4, 3), derivative, zeros() + jnp.inf, zeros())
     return evaluate, rows, empty
 
 
-def _by_joints(mix, n, over, g, by_chords) -> Float[Array, "q 4 4 3 3"]:
-    """Minus the derivative of a block's forces by its joints, from those by distance and chords.
+def _by_vertices(mix, n, over, g, by_chords) -> Float[Array, "q 4 4 3 3"]:
+    """Minus the derivative of a block's forces by its vertices, from those by distance and chords.
 
-    By joint j the force on joint i changes by minus the sum over the points of
+    By vertex j the force on vertex i changes by minus the sum over the points of
     mix_i n (mix_j g + c_j)^T + mix_i mix_j over I, c_j that by the chord with an end at j, if any.
     """
     block, points = n.shape[1], n.shape[2] * n.shape[3]
@@ -269,22 +271,22 @@ def _by_joints(mix, n, over, g, by_chords) -> Float[Array, "q 4 4 3 3"]:
     return -(jnp.swapaxes(outer, 2, 3) + across * jnp.eye(3, dtype=n.dtype)[None, None, None])
 
 
-def gather(near: Near, force: Float[Array, "q 4 3"], joints: int) -> Float[Array, "j 3"]:
-    """Sum over the pairs at every joint."""
-    index = jnp.stack(joints_of(near), 1)
-    return jnp.zeros((joints, 3), force.dtype).at[index].add(force)
+def gather(pairs: NearPairs, force: Float[Array, "q 4 3"], vertices: int) -> Float[Array, "j 3"]:
+    """Sum over the pairs at every vertex."""
+    index = jnp.stack(vertices_of(pairs), 1)
+    return jnp.zeros((vertices, 3), force.dtype).at[index].add(force)
 
 
 def forces(
     contact: Contact,
     rod: Rod,
-    where: Sites,
-    near: Near,
+    sites: Sites,
+    pairs: NearPairs,
     position: Float[Array, "nodes 3"],
     velocity: Float[Array, "nodes 3"],
 ) -> Float[Array, "nodes 3"]:
     """Contact forces on the nodes [N], for a list of pairs found before."""
-    return _report(contact, rod, where, near, position, velocity).force
+    return _report(contact, rod, sites, pairs, position, velocity).force
 
 
 class ContactReport(NamedTuple):
@@ -303,11 +305,11 @@ class ContactReport(NamedTuple):
     overflow: Bool[Array, ""]  # pairs were left out: raise the contact's capacities
 
 
-def _report(contact, rod, where, near, position, velocity) -> ContactReport:
-    joints, velocities = interpolate(where, position), interpolate(where, velocity)
-    found = pair_forces(contact, where, near, joints, velocities)
-    nodal = spread(where, found.force, rod.elements + 1)
-    return ContactReport(nodal, found.total, found.smallest, near.overflow)
+def _report(contact, rod, sites, pairs, position, velocity) -> ContactReport:
+    vertices, velocities = interpolate(sites, position), interpolate(sites, velocity)
+    found = pair_forces(contact, sites, pairs, vertices, velocities)
+    nodal = spread(sites, found.force, rod.elements + 1)
+    return ContactReport(nodal, found.total, found.smallest, pairs.overflow)
 
 
 def report(
@@ -323,6 +325,6 @@ def report(
         closed: whether the rod's ends are at one place, see `Scene.closed`.
     """
     contact = contact.fitted(rod)
-    where = sites(contact, rod, closed)
-    near = search(contact, where, position)
-    return _report(contact, rod, where, near, position, velocity)
+    sites = sites_of(contact, rod, closed)
+    pairs = search(contact, sites, position)
+    return _report(contact, rod, sites, pairs, position, velocity)

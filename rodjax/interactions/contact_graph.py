@@ -11,20 +11,20 @@ from rodjax.numerics.chunks import CHUNK, chunks, part, whole_chunks
 from rodjax.numerics.front_order import FrontSize, Order, arrange
 from rodjax.numerics.frontal import Distant, Stencils
 
-# two joints that are coupled by strands side by side, per near pair of their segments, and to spare
+# two vertices coupled by strands side by side, per near pair of their segments, and to spare
 _COUPLED = 6
 _SEATS = 16  # that an order is tried with
-_BETWEEN = 4  # nodes between joints; of more than these no front is wide enough
+_BETWEEN = 4  # nodes between vertices; of more than these no front is wide enough
 
 
 class Graph(NamedTuple):
-    """The joints that near pairs couple, each two of them once, and an order of the nodes."""
+    """The vertices that near pairs couple, each two of them once, and an order of the nodes."""
 
     order: Order
-    first: Int[Array, " u"]  # joint; beyond `count` meaningless but valid
+    first: Int[Array, " u"]  # vertex; beyond `count` meaningless but valid
     second: Int[Array, " u"]
     count: Int[Array, ""]
-    entry: Int[Array, "q 4 4"]  # where in this list two joints of a pair stand
+    entry: Int[Array, "q 4 4"]  # where in this list two vertices of a pair stand
     complete: Bool[Array, ""]  # whether the list holds all
 
     def fits(self, size: FrontSize) -> Bool[Array, ""]:
@@ -32,10 +32,12 @@ class Graph(NamedTuple):
         return self.complete & self.order.fits(size)
 
 
-def couplings(joints: tuple[Array, ...], count: Int[Array, ""], where: Sites, nodes: int) -> Graph:
-    """The graph of so many pairs, of which these are the four joints."""
-    index = jnp.stack(joints, 1)
-    number, capacity = where.weight.shape[0], _COUPLED * index.shape[0]
+def couplings(
+    vertices: tuple[Array, ...], count: Int[Array, ""], sites: Sites, nodes: int
+) -> Graph:
+    """The graph of so many pairs, of which these are the four vertices."""
+    index = jnp.stack(vertices, 1)
+    number, capacity = sites.weight.shape[0], _COUPLED * index.shape[0]
     used = jnp.arange(index.shape[0], dtype=jnp.int32) < count
     row, column = jnp.broadcast_arrays(index[:, :, None], index[:, None, :])
     coupled = jnp.zeros((number, number), bool)
@@ -45,10 +47,10 @@ def couplings(joints: tuple[Array, ...], count: Int[Array, ""], where: Sites, no
     total, place = place[-1], (place - 1).reshape(number, number)
     entry = jnp.where(used[:, None, None], place[row, column], capacity)
     unlisted = jnp.zeros((capacity,), jnp.int32)
-    first, second = (unlisted.at[entry].set(joint, mode="drop") for joint in (row, column))
-    touching = _touching(_stencils(where), nodes, first, second, total)
-    # nodes between joints do not touch, but should be eliminated with those that do
-    between = min(-(-(nodes - 1) // where.arc_length.shape[0]) - 1, _BETWEEN)
+    first, second = (unlisted.at[entry].set(vertex, mode="drop") for vertex in (row, column))
+    touching = _touching(_stencils(sites), nodes, first, second, total)
+    # nodes between vertices do not touch, but should be eliminated with those that do
+    between = min(-(-(nodes - 1) // sites.arc_length.shape[0]) - 1, _BETWEEN)
     order = arrange(touching, _SEATS, between)
     return Graph(order, first, second, total, entry, total <= capacity)
 
@@ -64,12 +66,12 @@ def nothing(pairs: int, nodes: int) -> Graph:
 
 def distant(
     graph: Graph,
-    where: Sites,
+    sites: Sites,
     count: Int[Array, ""],
     derivative: Float[Array, "q 4 4 3 3"],
     factor: Float[Array, "nodes 3 3"],
 ) -> Distant:
-    """The derivative of so many pairs by their joints as one by nodes, times a factor of a node."""
+    """The derivative of so many pairs by vertices as one by nodes, times a factor of a node."""
 
     # beyond the list's end zeros are added to its first entry
     listed = whole_chunks(graph.entry), whole_chunks(derivative)
@@ -80,21 +82,21 @@ def distant(
 
     block = jnp.zeros((graph.first.shape[0], 3, 3), derivative.dtype)
     block = lax.fori_loop(0, chunks(count), added, block)
-    return Distant(graph.first, graph.second, block, graph.count, _stencils(where), factor)
+    return Distant(graph.first, graph.second, block, graph.count, _stencils(sites), factor)
 
 
-def _stencils(where: Sites) -> Stencils:
-    """Nodes of the joints and their weights, the heaviest first: one, where joints lie on nodes."""
-    order = jnp.argsort(-jnp.abs(where.weight), axis=1)
+def _stencils(sites: Sites) -> Stencils:
+    """Nodes of the vertices and their weights, the heaviest first: one where they lie on nodes."""
+    order = jnp.argsort(-jnp.abs(sites.weight), axis=1)
     take = lambda values: jnp.take_along_axis(values, order, axis=1)
-    node, weight = take(where.nodes), take(where.weight)
+    node, weight = take(sites.nodes), take(sites.weight)
     slack = 100 * jnp.finfo(weight.dtype).eps
     on_nodes = jnp.all(jnp.abs(weight[:, 1:]) < slack) & jnp.all(jnp.abs(weight[:, 0] - 1) < slack)
     return Stencils(node, weight, jnp.where(on_nodes, 1, weight.shape[1]).astype(jnp.int32))
 
 
 def _touching(stencils, nodes, first, second, count) -> Bool[Array, "n n"]:
-    """Which nodes the joints of these pairs lie between."""
+    """Which nodes the vertices of these pairs lie between."""
     weighs = jnp.arange(stencils.node.shape[1], dtype=jnp.int32) < stencils.used
     weighty = weighs[:, None] & weighs[None, :]
 
@@ -102,7 +104,7 @@ def _touching(stencils, nodes, first, second, count) -> Bool[Array, "n n"]:
 
     def added(chunk, touching):
         used = chunk * CHUNK + jnp.arange(CHUNK, dtype=jnp.int32) < count
-        one, other = (stencils.node[part(joint, chunk)] for joint in listed)
+        one, other = (stencils.node[part(vertex, chunk)] for vertex in listed)
         row = jnp.where(used[:, None, None] & weighty[None], one[:, :, None], nodes)
         return touching.at[row, other[:, None, :]].set(True, mode="drop")
 

@@ -12,27 +12,27 @@ from jaxtyping import Array, Bool, Float, Int
 
 from rodjax.interactions import contact_graph
 from rodjax.interactions.contact import Contact, Sites, along, interpolate
+from rodjax.interactions.contact_capacities import capacities
 from rodjax.interactions.contact_graph import Graph
 from rodjax.interactions.contact_laws import PairProperties
-from rodjax.interactions.contact_levels import levels
 from rodjax.numerics import newton
 from rodjax.numerics.batching import largest, only_where
 
 BLOCK = 32  # pairs that are evaluated together
 
 
-class Near(NamedTuple):
-    """Outcome of the search: pairs of segments, the joints they involve and these joints' nodes."""
+class NearPairs(NamedTuple):
+    """Outcome of the search: pairs of segments, the vertices they involve, the nodes of these."""
 
     first: Int[Array, " q"]  # segment nearer to s = 0; beyond `count` meaningless but valid
     second: Int[Array, " q"]
     count: Int[Array, ""]  # pairs in the list
-    order: Int[Array, " j"]  # all joints, those involved first
-    rank: Int[Array, " j"]  # place of each joint in `order`
-    nodes: Int[Array, " nodes"] | None  # all, those between which such joints lie first; if needed
-    level: Int[Array, ""]  # 0: no pair; k: the k-th of `contact_levels.levels` holds them
-    overflow: Bool[Array, ""]  # pairs or joints were left out
-    graph: Graph | None = None  # of the pairs, where a level has use for it
+    order: Int[Array, " j"]  # all vertices, those involved first
+    rank: Int[Array, " j"]  # place of each vertex in `order`
+    nodes: Int[Array, " nodes"] | None  # all, first those of such vertices; if needed
+    capacity: Int[Array, ""]  # 0: no pair; k: the k-th of `contact_capacities` holds them
+    overflow: Bool[Array, ""]  # pairs or vertices were left out
+    graph: Graph | None = None  # of the pairs, where a capacity has use for it
 
 
 def _separations(x):
@@ -46,35 +46,35 @@ def _norm(components):
 
 def search(
     contact: Contact,
-    where: Sites,
+    sites: Sites,
     position: Float[Array, "nodes 3"],
     displacement: Float[Array, "nodes 3"] | None = None,
-) -> Near:
+) -> NearPairs:
     """Pairs of segments of which some points are within reach and inside both apertures.
 
     `displacement` is the expected motion of the step; the reach is the cut-off plus one and a
     half times a pair's relative displacement, so that no strand tunnels between two searches.
     No derivative passes through.
     """
-    contact, where, position, displacement = newton.constant(
-        (contact, where, position, displacement)
+    contact, sites, position, displacement = newton.constant(
+        (contact, sites, position, displacement)
     )
-    sizes = levels(contact, position.shape[0] - 1)
+    sizes = capacities(contact, position.shape[0] - 1)
     # a segment's points lie within this of its middle, so a pair's within twice of the line
-    half = 0.5 * where.spacing * (contact.points_per_segment - 1)
-    joints = interpolate(where, position)
-    middles = 0.5 * (joints[1:] + joints[:-1])
+    half = 0.5 * sites.spacing * (contact.points_per_segment - 1)
+    vertices = interpolate(sites, position)
+    middles = 0.5 * (vertices[1:] + vertices[:-1])
     moved = None
     if displacement is not None:
-        moved = interpolate(where, displacement)
+        moved = interpolate(sites, displacement)
         moved = 0.5 * (moved[1:] + moved[:-1])
-    s = jnp.mean(where.arc_length, 1)
+    s = jnp.mean(sites.arc_length, 1)
     segment = jnp.arange(contact.segments)
     once = (segment[:, None] < segment[None, :]) & (
-        along(where, s[:, None], s[None, :]) + 2 * half >= contact.excluded
+        along(sites, s[:, None], s[None, :]) + 2 * half >= contact.excluded
     )
 
-    def pairs():
+    def reached():
         """Which pairs are near, by the reach and the apertures of each."""
         r = _separations(middles)
         distance = _norm(r)
@@ -83,7 +83,7 @@ def search(
         aperture = contact.acting_aperture
         if aperture is None:
             return near
-        chord = joints[1:] - joints[:-1]
+        chord = vertices[1:] - vertices[:-1]
         chord = chord / jnp.sqrt(jnp.sum(chord**2, 1, keepdims=True))
         # inside an aperture: |r.t| cos(theta/2) <= |r - (r.t) t| sin(theta/2), within the slack
         cosine, sine = jnp.cos(0.5 * aperture), jnp.sin(0.5 * aperture)
@@ -97,10 +97,10 @@ def search(
         return near & inside([chord[None, :, k] for k in range(3)])
 
     def some():
-        return _listed(pairs(), sizes, where, position.shape[0])
+        return _listed(reached(), sizes, sites, position.shape[0])
 
     def none():
-        return _listed(None, sizes, where, position.shape[0])
+        return _listed(None, sizes, sites, position.shape[0])
 
     # most steps end here: nothing within the widest reach of all
     reach = contact.cutoff + 2 * half
@@ -111,51 +111,51 @@ def search(
     return lax.cond(largest(maybe.astype(jnp.int32)) > 0, some, none)
 
 
-def _listed(near: Bool[Array, "g g"] | None, sizes, where: Sites, nodes: int) -> Near:
+def _listed(near: Bool[Array, "g g"] | None, sizes, sites: Sites, nodes: int) -> NearPairs:
     """The list of the near pairs, or of none, and what they involve."""
-    capacity, joints = sizes[-1].pairs, where.weight.shape[0]
+    room, vertices = sizes[-1].pairs, sites.weight.shape[0]
     fronts = [index for index, size in enumerate(sizes) if size.front is not None]
-    no_graph = contact_graph.nothing(capacity, nodes) if fronts else None
+    no_graph = contact_graph.nothing(room, nodes) if fronts else None
     if near is None:
-        no_pair, zero = jnp.zeros((capacity,), jnp.int32), jnp.asarray(0, jnp.int32)
-        every = jnp.arange(joints, dtype=jnp.int32)
+        no_pair, zero = jnp.zeros((room,), jnp.int32), jnp.asarray(0, jnp.int32)
+        every = jnp.arange(vertices, dtype=jnp.int32)
         node = None if sizes[-1].nodes is None else jnp.arange(nodes, dtype=jnp.int32)
         no = jnp.asarray(False)
-        return Near(no_pair, no_pair, zero, every, every, node, zero, no, no_graph)
+        return NearPairs(no_pair, no_pair, zero, every, every, node, zero, no, no_graph)
     first, second = (
-        index.astype(jnp.int32) for index in jnp.nonzero(near, size=capacity, fill_value=0)
+        index.astype(jnp.int32) for index in jnp.nonzero(near, size=room, fill_value=0)
     )
     count = jnp.sum(near).astype(jnp.int32)
     segments = jnp.any(near, 0) | jnp.any(near, 1)
-    involved = jnp.zeros((joints,), bool).at[:-1].set(segments)
+    involved = jnp.zeros((vertices,), bool).at[:-1].set(segments)
     involved = involved | jnp.roll(involved, 1)
     order, rank, involving = _first(involved)
     holds = lambda numbers: jnp.asarray(numbers, jnp.int32)
-    fits = (involving <= holds([size.joints for size in sizes])) & (
+    fits = (involving <= holds([size.vertices for size in sizes])) & (
         count <= holds([size.pairs for size in sizes])
     )
     node = None
     if sizes[-1].nodes is not None:
-        between = jnp.zeros((nodes,), jnp.int32).at[where.nodes]
-        touched = involved[:, None] & (where.weight != 0)
+        between = jnp.zeros((nodes,), jnp.int32).at[sites.nodes]
+        touched = involved[:, None] & (sites.weight != 0)
         between = between.add(touched.astype(jnp.int32)) > 0
         node, _, count_nodes = _first(between)
         fits = fits & (count_nodes <= holds([size.nodes for size in sizes]))
     graph = None
     if fronts:
         needed = ~jnp.any(fits[: fronts[0]])
-        listed = jnp.minimum(count, capacity)
-        couplings = lambda corners: contact_graph.couplings(corners, listed, where, nodes)
+        listed = jnp.minimum(count, room)
+        couplings = lambda corners: contact_graph.couplings(corners, listed, sites, nodes)
         corners = first, first + 1, second, second + 1
         graph = only_where(needed, couplings, lambda _: no_graph, corners)
         yes = jnp.asarray(True)
         wide = [yes if size.front is None else graph.fits(size.front) for size in sizes]
         fits = fits & jnp.stack(wide)
     overflow = ~fits[-1]
-    level = jnp.where(overflow, len(sizes), jnp.argmax(fits) + 1)
-    level = jnp.where(count == 0, 0, level).astype(jnp.int32)
-    count = jnp.minimum(count, capacity)
-    return Near(first, second, count, order, rank, node, level, overflow, graph)
+    capacity = jnp.where(overflow, len(sizes), jnp.argmax(fits) + 1)
+    capacity = jnp.where(count == 0, 0, capacity).astype(jnp.int32)
+    count = jnp.minimum(count, room)
+    return NearPairs(first, second, count, order, rank, node, capacity, overflow, graph)
 
 
 def _first(chosen: Bool[Array, " k"]) -> tuple[Int[Array, " k"], Int[Array, " k"], Int[Array, ""]]:
@@ -170,8 +170,8 @@ def _first(chosen: Bool[Array, " k"]) -> tuple[Int[Array, " k"], Int[Array, " k"
 
 def approach_limit(
     contact: Contact,
-    where: Sites,
-    near: Near,
+    sites: Sites,
+    pairs: NearPairs,
     position: Float[Array, "nodes 3"],
     change: Float[Array, "nodes 3"],
 ) -> Float[Array, ""]:
@@ -180,9 +180,9 @@ def approach_limit(
     The gap is counted from the law's smallest distance. Only the relative motion of near pairs
     is bounded, so a far part of the rod moves freely. No derivative passes through.
     """
-    x, dx = (lax.stop_gradient(interpolate(where, v)) for v in (position, change))
-    contact, where = newton.constant((contact, where))
-    diameter, excluded, arc_length = where.diameter, contact.excluded, where.arc_length
+    x, dx = (lax.stop_gradient(interpolate(sites, v)) for v in (position, change))
+    contact, sites = newton.constant((contact, sites))
+    diameter, excluded, arc_length = sites.diameter, contact.excluded, sites.arc_length
     count = contact.points_per_segment
     part = (jnp.arange(count, dtype=position.dtype) + 0.5) / count
 
@@ -192,12 +192,12 @@ def approach_limit(
 
     def body(i, limit):
         at = i * BLOCK + jnp.arange(BLOCK, dtype=jnp.int32)
-        valid = at < near.count
-        first, second = near.first[at], near.second[at]
+        valid = at < pairs.count
+        first, second = pairs.first[at], pairs.second[at]
         pair = lambda v: points(v, second)[:, None, :] - points(v, first)[:, :, None]
         r, w = pair(x), pair(dx)
         squared = jnp.sum(r**2, -1)
-        apart = along(where, arc_length[first][:, :, None], arc_length[second][:, None, :])
+        apart = along(sites, arc_length[first][:, :, None], arc_length[second][:, None, :])
         acts = (apart >= excluded) & valid[:, None, None] & (squared > 0)
         distance = jnp.sqrt(jnp.where(squared > 0, squared, 1.0))
         closing = -jnp.sum(r * w, -1) / distance
@@ -207,37 +207,39 @@ def approach_limit(
         ratio = 0.7 * gap / jnp.where(closing > 0, closing, 1.0)
         return jnp.minimum(limit, jnp.min(jnp.where(acts & (closing > 0), ratio, 1.0)))
 
-    blocks = (largest(near.count) + BLOCK - 1) // BLOCK
+    blocks = (largest(pairs.count) + BLOCK - 1) // BLOCK
     return lax.fori_loop(0, blocks, body, jnp.ones((), position.dtype))
 
 
 def passage_suspected(
-    where: Sites,
-    near: Near,
+    sites: Sites,
+    pairs: NearPairs,
     before: Float[Array, "nodes 3"],
     after: Float[Array, "nodes 3"],
 ) -> Bool[Array, ""]:
     """Whether two near segments crossed each other in a step.
 
-    Two chords cross when the volume of the tetrahedron of their four joints changes sign, at a
+    Two chords cross when the volume of the tetrahedron of their four vertices changes sign, at a
     moment when the point common to their lines lies on both: that moment and point are found on
-    the straight ways of the joints. A slow passage is seen as well as a fast one.
+    the straight ways of the vertices. A slow passage is seen as well as a fast one.
     """
 
     def crossed(positions):
-        return jnp.any(_crossings(near, *(interpolate(where, x) for x in positions)))
+        return jnp.any(_crossings(pairs, *(interpolate(sites, x) for x in positions)))
 
-    where, positions = lax.stop_gradient((where, (before, after)))
-    return only_where(near.count > 0, crossed, lambda _: jnp.asarray(False), positions)
+    sites, positions = lax.stop_gradient((sites, (before, after)))
+    return only_where(pairs.count > 0, crossed, lambda _: jnp.asarray(False), positions)
 
 
-def _crossings(near: Near, old: Float[Array, "j 3"], new: Float[Array, "j 3"]) -> Bool[Array, " q"]:
-    """Which pairs crossed while their joints moved straight from old to new."""
-    valid = jnp.arange(near.first.shape[0], dtype=jnp.int32) < near.count
+def _crossings(
+    pairs: NearPairs, old: Float[Array, "j 3"], new: Float[Array, "j 3"]
+) -> Bool[Array, " q"]:
+    """Which pairs crossed while their vertices moved straight from old to new."""
+    valid = jnp.arange(pairs.first.shape[0], dtype=jnp.int32) < pairs.count
 
     def chords(x):
-        a, b = x[near.first], x[near.second]
-        return x[near.first + 1] - a, x[near.second + 1] - b, b - a
+        a, b = x[pairs.first], x[pairs.second]
+        return x[pairs.first + 1] - a, x[pairs.second + 1] - b, b - a
 
     def volume(x):
         first, second, between = chords(x)
@@ -246,11 +248,11 @@ def _crossings(near: Near, old: Float[Array, "j 3"], new: Float[Array, "j 3"]) -
     start, end = volume(old), volume(new)
     change = start - end
     moment = jnp.where(change == 0, 0.0, start / jnp.where(change == 0, 1.0, change))
-    joints = lambda segment: (
+    vertices = lambda segment: (
         old[segment] + moment[:, None] * (new[segment] - old[segment]),
         old[segment + 1] + moment[:, None] * (new[segment + 1] - old[segment + 1]),
     )
-    (a0, a1), (b0, b1) = joints(near.first), joints(near.second)
+    (a0, a1), (b0, b1) = vertices(pairs.first), vertices(pairs.second)
     first, second, between = a1 - a0, b1 - b0, b0 - a0
     dot = lambda x, y: jnp.sum(x * y, 1)
     # parameters of the common point on the two lines, both times the determinant
@@ -262,6 +264,6 @@ def _crossings(near: Near, old: Float[Array, "j 3"], new: Float[Array, "j 3"]) -
     # the chords of neighbours, and those in one line as of a straight rod, have a common point by
     # rounding only
     askew = determinant > 1e4 * jnp.finfo(old.dtype).eps * product
-    apart = near.second - near.first > 1
+    apart = pairs.second - pairs.first > 1
     crossed = (start * end < 0) & inside(on_first) & inside(on_second) & askew & apart
     return crossed & valid

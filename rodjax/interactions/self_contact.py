@@ -7,20 +7,20 @@ from jax.ad_checkpoint import checkpoint_name
 from jaxtyping import Array, Float
 
 from rodjax.interactions import contact_energy, contact_forces, screening
-from rodjax.interactions.contact import Contact, Sites, sites
+from rodjax.interactions.contact import Contact, Sites, sites_of
 from rodjax.interactions.contact_laws import PairProperties, ignores_approach
 from rodjax.interactions.interaction import AbstractInteraction
 from rodjax.interactions.roles import Role
-from rodjax.interactions.screening import Near
+from rodjax.interactions.screening import NearPairs
 from rodjax.numerics import newton
 from rodjax.numerics.results import Result, join
 
 
-class Nearby(NamedTuple):
+class FoundContact(NamedTuple):
     """Where the rod can touch itself, and the pairs found near each other."""
 
-    where: Sites
-    near: Near
+    sites: Sites
+    pairs: NearPairs
 
 
 class SelfContact(AbstractInteraction):
@@ -39,36 +39,36 @@ class SelfContact(AbstractInteraction):
     def check(self, rod):
         self.contact.check(rod)
 
-    def find(self, rod, position, displacement=None, closed=False) -> Nearby:
-        where = sites(self.contact, rod, closed)
-        near = screening.search(self.contact, where, position, displacement)
+    def find(self, rod, position, displacement=None, closed=False) -> FoundContact:
+        sites = sites_of(self.contact, rod, closed)
+        pairs = screening.search(self.contact, sites, position, displacement)
         # a reverse pass need not search again
-        return Nearby(where, checkpoint_name(near, newton.SOLUTION))
+        return FoundContact(sites, checkpoint_name(pairs, newton.SOLUTION))
 
-    def exerted(self, rod, motion, found: Nearby):
+    def exerted(self, rod, motion, found: FoundContact):
         at = motion.position, motion.velocity
         return on_nodes(contact_forces.forces(self.contact, rod, *found, *at))
 
-    def stored(self, rod, motion, found: Nearby) -> Float[Array, ""]:
+    def stored(self, rod, motion, found: FoundContact) -> Float[Array, ""]:
         energy = contact_energy.stored(self.contact, *found, motion.position)
         return jnp.where(self.conservative, energy, 0.0)
 
-    def lost(self, rod, motion, found: Nearby, exerted):
+    def lost(self, rod, motion, found: FoundContact, exerted):
         resting = exerted
-        pair = PairProperties(found.where.diameter, found.where.mass)
+        pair = PairProperties(found.sites.diameter, found.sites.mass)
         if not ignores_approach(self.contact.law, pair):
             still = motion._replace(velocity=jnp.zeros_like(motion.velocity))
             resting = self.exerted(rod, still, found)
         return exerted - jnp.where(self.conservative, resting, 0.0)
 
-    def safe_fraction(self, rod, position, change, found: Nearby):
+    def safe_fraction(self, rod, position, change, found: FoundContact):
         return screening.approach_limit(self.contact, *found, position, change)
 
-    def verdict(self, rod, before, after, found: Nearby):
+    def verdict(self, rod, before, after, found: FoundContact):
         passed = screening.passage_suspected(*found, before, after)
         return join(
             jnp.where(passed, Result.STRAND_PASSAGE, Result.SUCCESS),
-            jnp.where(found.near.overflow, Result.CAPACITY_OVERFLOW, Result.SUCCESS),
+            jnp.where(found.pairs.overflow, Result.CAPACITY_OVERFLOW, Result.SUCCESS),
         )
 
 

@@ -188,7 +188,7 @@ def _contact(scene: Scene, run: Run) -> dict[str, Finding | None]:
     push, ratio = (float(np.asarray(v)[most]) for v in (found.total, found.smallest))
     if push == 0 or not np.isfinite(ratio):
         return {}
-    where = contact.sites(the_contact, scene.rod, scene.closed)
+    where = contact.sites_of(the_contact, scene.rod, scene.closed)
     diameter = np.max(np.asarray(where.diameter))
     mass = None if where.mass is None else jnp.mean(where.mass)
     pair = PairProperties(jnp.asarray(diameter), mass)

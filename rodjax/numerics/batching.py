@@ -39,7 +39,7 @@ def only_where(needed: Bool[Array, ""], function: Callable, otherwise: Callable,
     return lax.cond(largest(needed.astype(jnp.int32)) > 0, some, otherwise, operand)
 
 
-def one_by_one(function: Callable, easy: tuple[Callable, Callable] | None = None) -> Callable:
+def one_by_one(function: Callable, together: tuple[Callable, Callable] | None = None) -> Callable:
     """A function of pytrees whose lanes are mapped in turn where its FIRST argument is batched.
 
     Where only the others are (several right sides of one system) they are mapped together as usual,
@@ -47,8 +47,8 @@ def one_by_one(function: Callable, easy: tuple[Callable, Callable] | None = None
     backend is not the CPU.
 
     Args:
-        easy: (holds, together), both of the function's arguments. If `holds` in every lane, they
-            are mapped together by `together`, which then gives the same.
+        together: (holds, jointly), both of the function's arguments. If `holds` in every lane, they
+            are mapped together by `jointly`, which then gives the same.
     """
     inner = jax.custom_batching.custom_vmap(function)
 
@@ -58,13 +58,13 @@ def one_by_one(function: Callable, easy: tuple[Callable, Callable] | None = None
         if not any(jax.tree.leaves(in_batched[0])) or jax.default_backend() != "cpu":
             # wrapped again for a `vmap` further out
             out = one_by_one(jax.vmap(function, axes))(*arguments)
-        elif easy is None:
+        elif together is None:
             out = _in_turn(inner, in_batched, arguments)
         else:
-            holds, together = (jax.vmap(part, axes) for part in easy)
+            holds, jointly = (jax.vmap(part, axes) for part in together)
             out = lax.cond(
                 jnp.all(holds(*arguments)),
-                lambda arguments: together(*arguments),
+                lambda arguments: jointly(*arguments),
                 lambda arguments: _in_turn(inner, in_batched, arguments),
                 arguments,
             )

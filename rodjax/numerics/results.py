@@ -75,7 +75,7 @@ MESSAGES = {
         " and elements, a stiffer law or smaller steps"
     ),
     Result.CAPACITY_OVERFLOW: (
-        "more pairs or joints were in contact than the contact's `pairs_per_segment` and"
+        "more pairs or vertices were in contact than the contact's `pairs_per_segment` and"
         " `capacities` hold; raise them"
     ),
     Result.ROTATION_TOO_LARGE: (

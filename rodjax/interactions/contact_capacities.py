@@ -8,18 +8,18 @@ from rodjax.interactions.contact import Contact
 from rodjax.numerics.front_order import FrontSize
 
 
-class Level(NamedTuple):
+class Capacity(NamedTuple):
     """What a solver of Newton's system is compiled for. Static numbers."""
 
-    joints: int  # in contact, at most
+    vertices: int  # in contact, at most
     pairs: int  # of segments in the list
-    nodes: int | None  # between which the joints lie; None: of no use, joints are fewer
+    nodes: int | None  # between which the vertices lie; None: of no use, vertices are fewer
     front: FrontSize | None = None  # None: what touches is eliminated as a dense system
 
     @property
     def unknowns(self) -> int:
         """Size of the dense system."""
-        return 3 * (self.joints if self.nodes is None else self.nodes)
+        return 3 * (self.vertices if self.nodes is None else self.nodes)
 
 
 # dense systems up to this are cheaper than a front; a second front pays beyond the other
@@ -29,22 +29,22 @@ _WORTH = 0.6
 _FRONTS = (FrontSize(16, 6), FrontSize(24, 8))
 
 
-def levels(contact: Contact, elements: int) -> tuple[Level, ...]:
+def capacities(contact: Contact, elements: int) -> tuple[Capacity, ...]:
     """The sizes of `Contact` on a grid, in the order in which they are tried.
 
-    Contact couples the joints that it touches, or the nodes between which these lie, whichever
-    are fewer. Of nodes a stretch of joints has its share of the grid and up to four more. Where
+    Contact couples the vertices that it touches, or the nodes between which these lie, whichever
+    are fewer. Of nodes a stretch of vertices has its share of the grid and up to four more. Where
     many can touch, they are eliminated by a front, if one is wide enough; on accelerators, whose
     threads a front leaves idle, never.
     """
     finer = contact.segments > elements
 
-    def level(joints):
-        share = -(-joints * elements // contact.segments) + 16
+    def capacity(vertices):
+        share = -(-vertices * elements // contact.segments) + 16
         nodes = min(elements + 1, share) if finer else None
-        return Level(joints, contact.room * joints, nodes)
+        return Capacity(vertices, contact.room * vertices, nodes)
 
-    dense = tuple(map(level, contact.sizes))
+    dense = tuple(map(capacity, contact.sizes))
     largest = dense[-1].unknowns
     if not contact.capacities:  # each costs compile time: none that saves little of the largest
         dense = (*[one for one in dense if one.unknowns < _WORTH * largest], dense[-1])
