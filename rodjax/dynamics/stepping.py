@@ -165,7 +165,9 @@ def advance_to(
         state = dataclasses.replace(state, rate=rate, auxiliary=auxiliary, jerk=jerk)
     equations = step_equations(scene, state, stop, radius)
     guess = equations.guess(state.force)
-    found = scene.find(state.position, equations.increment(guess)[:, :3])
+    found = ()
+    if scene.interactions:
+        found = scene.find(state.position, equations.increment(guess)[:, :3])
     equations = dataclasses.replace(equations, found=found)
     guess = equations.limited(guess)
     tolerance = method.newton_tolerance(state.position.dtype)

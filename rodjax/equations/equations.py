@@ -241,6 +241,8 @@ class Equations(eqx.Module, Generic[Scheme]):
         if most is not None:
             largest = jnp.sqrt(jnp.max(jnp.sum(dx[:, 6:] ** 2, 1)))
             scale = jnp.minimum(scale, most / jnp.maximum(largest, most))
+        if not self.scene.interactions:
+            return scale
         position = self.scheme.origin()[0] + self.increment(x)[:, :3]
         return self._safe(scale, position, dx[:, :3] * self.scales.length)
 
