@@ -174,13 +174,15 @@ def iteration_costs(elements: int, contact: bool, repeats: int) -> dict[str, Any
     found |= {"bandwidth": bandwidth, "solve_difference": difference}
     found["iterations"] = solve.iterations
     if contact:
-        found |= contact_counts(whole, state, found_near[-1])
+        found |= contact_counts(whole, state, found_near.contact)
     return found
 
 
-def contact_counts(whole: Scene, state: State, found_contact: FoundContact) -> dict[str, int]:
+def contact_counts(
+    whole: Scene, state: State, found_contact: FoundContact | None
+) -> dict[str, int]:
     """Pairs near, their joints (which the solver eliminates), and those on which a force acts."""
-    assert whole.contact is not None
+    assert whole.contact is not None and found_contact is not None
     sites, pairs = found_contact
     vertices, velocities = (interpolate(sites, v) for v in (state.position, state.velocity))
     forces = pair_forces(whole.contact, sites, pairs, vertices, velocities).force
@@ -220,7 +222,7 @@ def ply_costs(elements: int, repeats: int) -> dict[str, Any]:
     found: dict[str, Any] = {name: float(np.median(s)) for name, s in seconds.items()}
     ratio = np.median(seconds["increment"] / seconds["block_solve"])
     found["increment_over_block_solve"] = float(ratio)
-    return found | contact_counts(whole, state, near_by[-1])
+    return found | contact_counts(whole, state, near_by.contact)
 
 
 def compile_costs(rung: Rung, repeats: int) -> dict[str, Any]:

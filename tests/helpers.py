@@ -167,7 +167,7 @@ def moving_hairpin(elements: int):
     state = start(scene)
     velocity = 0.1 * np.random.default_rng(0).normal(size=state.position.shape)
     state = dataclasses.replace(state, rate=state.rate.at[:, :3].set(velocity))
-    return scene, state, scene.find(state.position, 1e-3 * state.velocity)[-1]
+    return scene, state, scene.find_contact(state.position, 1e-3 * state.velocity)
 
 
 def standing_run(scene: Scene, steps: int, first: float = 0.0, step_size: float = 0.1) -> Run:

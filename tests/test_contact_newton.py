@@ -50,7 +50,7 @@ def test_a_strip_is_solved_as_a_dense_system(bent, monkeypatch):
     b = jnp.asarray(np.random.default_rng(1).normal(size=(state.position.shape[0], 9)))
 
     def solutions():
-        near = scene.find(state.position)[-1]
+        near = scene.find_contact(state.position)
         equations = step_equations(scene, state, jnp.asarray(1e-3), jnp.asarray(0.8), (near,))
         system = equations.linearize(equations.guess(state.force))
         front = system.coupling.capacities[int(near.pairs.capacity) - 1].front
@@ -60,7 +60,7 @@ def test_a_strip_is_solved_as_a_dense_system(bent, monkeypatch):
     front, expected, _ = solutions()
     assert front is None
     # however few joints are in contact, by a front, or as a dense system if it is too narrow
-    whole = contact_capacities.capacities(scene.contact, len(b) - 1)[-1]
+    whole = contact_capacities.capacities(scene.contact, len(b) - 1).contact
     size = FrontSize(24, 8)
     for module in (screening, coupling):
         monkeypatch.setattr(
@@ -86,7 +86,7 @@ def test_batches_of_right_sides_and_of_systems(bent):
 
     @jax.jit
     def equations(state):
-        found_contact = scene.find(state.position)[-1]
+        found_contact = scene.find_contact(state.position)
         return step_equations(scene, state, jnp.asarray(1e-3), jnp.asarray(0.5), (found_contact,))
 
     system = lambda state: equations(state).linearize(equations(state).guess(state.force))
@@ -122,7 +122,7 @@ def test_batches_of_right_sides_and_of_systems(bent):
 @finer_and_coarser
 def test_a_held_derivative_leads_to_the_same_motion(bent):
     scene, state, _ = bent
-    found_contact = scene.find(state.position)[-1]
+    found_contact = scene.find_contact(state.position)
     equations = step_equations(scene, state, jnp.asarray(1e-3), jnp.asarray(0.5), (found_contact,))
     assert int(found_contact.pairs.count) > 0
     rest = (equations.guess(state.force), jnp.asarray(1e-11), jnp.asarray(20))
@@ -142,7 +142,7 @@ def test_every_size_of_solver_gives_the_same_increment(bent):
     for sizes in ((21,), (4, 18, 21)):
         contact = dataclasses.replace(apart, capacities=sizes)
         same = eqx.tree_at(lambda s: s.contact, scene, contact)
-        near = same.find(state.position, 1e-3 * state.velocity)[-1]
+        near = same.find_contact(state.position, 1e-3 * state.velocity)
         assert int(near.pairs.capacity) == len(sizes) - (len(sizes) > 1)
         equations = step_equations(same, state, jnp.asarray(1e-3), jnp.asarray(0.8), (near,))
         found.append(equations.newton_increment(equations.guess(state.force)))

@@ -132,7 +132,7 @@ def test_strands_in_contact_held_at_random(elements, segments, front, monkeypatc
             monkeypatch.setattr(module, "capacities", lambda *given, fronts=fronts: fronts)
     rod = hairpin(elements)
     scene = rx.Scene(rod, contact=contact)
-    assert int(scene.find(rod.position)[-1].pairs.capacity) == 1
+    assert int(scene.find_contact(rod.position).pairs.capacity) == 1
     numbers = agree(random_cases(rod, 30, 0.3, contact))
     assert min(numbers) == 0 and max(numbers) > 4
 

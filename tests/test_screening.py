@@ -71,7 +71,7 @@ def test_passage_is_seen_fast_or_slow(pieces):
 
     @eqx.filter_jit
     def seen(before, after):
-        found = scene.find(before, after - before)[-1]
+        found = scene.find_contact(before, after - before)
         return screening.passage_suspected(*found, before, after)
 
     def passed(shift):
@@ -95,7 +95,7 @@ def test_no_passage_is_seen_along_one_strand(bend):
 
     @eqx.filter_jit
     def seen(before, after):
-        found = scene.find(before, after - before)[-1]
+        found = scene.find_contact(before, after - before)
         return found.pairs.count, screening.passage_suspected(*found, before, after)
 
     def shape():

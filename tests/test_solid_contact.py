@@ -207,7 +207,7 @@ def deepest(contact, **shape):
 @jax.jit
 def in_a_step(scene, position):
     held = overlap.distances_held(scene)
-    return overlap.too_near(scene.contact, scene.find(position)[-1], held, position)
+    return overlap.too_near(scene.contact, scene.find_contact(position), held, position)
 
 
 def test_overlap_is_found_where_it_is(solid):

@@ -24,7 +24,7 @@ from rodjax.numerics.results import Result, as_code, join
 from rodjax.rods.state import State
 from rodjax.rods.strains import wound
 from rodjax.scenes import drives
-from rodjax.scenes.scene import Scene
+from rodjax.scenes.scene import Found, Scene
 
 
 class StepInfo(NamedTuple):
@@ -165,7 +165,7 @@ def advance_to(
         state = dataclasses.replace(state, rate=rate, auxiliary=auxiliary, jerk=jerk)
     equations = step_equations(scene, state, stop, radius)
     guess = equations.guess(state.force)
-    found = ()
+    found = Found()
     if scene.interactions:
         found = scene.find(state.position, equations.increment(guess)[:, :3])
     equations = dataclasses.replace(equations, found=found)
@@ -193,10 +193,10 @@ def advance_to(
     error = local_error(scheme.coefficients, state.auxiliary, auxiliary)
     largest = lambda v: jnp.sqrt(jnp.max(jnp.sum(lax.stop_gradient(v) ** 2, 1)))
     codes = []
-    for one, its in zip(scene.interactions, found, strict=True):
+    for one, its in zip(scene.interactions, found.each, strict=True):
         codes.append(one.verdict(scene.rod, state.position, new.position, its))
-    if scene.contact is not None and held is not None:
-        deep = overlap.too_near(scene.contact, found[-1], held, new.position)
+    if scene.contact is not None and found.contact is not None and held is not None:
+        deep = overlap.too_near(scene.contact, found.contact, held, new.position)
         codes.append(jnp.where(deep, Result.CONTACT_OVERCOME, Result.SUCCESS))
     turned_far = (largest(increment[:, 3:]) > jnp.pi) | wound(new.quaternion)
     code = jnp.where(turned_far, Result.ROTATION_TOO_LARGE, Result.SUCCESS)

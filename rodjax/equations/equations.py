@@ -125,9 +125,7 @@ class Equations(eqx.Module, Generic[Scheme]):
     @property
     def found_contact(self) -> FoundContact | None:
         """Strands held to be near each other; None without contact, or where they are searched."""
-        if self.found is None or self.scene.contact is None:
-            return None
-        return self.found[-1]
+        return None if self.found is None else self.found.contact
 
     @jax.named_scope("residual")
     def residual(self, x):
@@ -167,7 +165,7 @@ class Equations(eqx.Module, Generic[Scheme]):
         by_velocity = jnp.zeros_like(self.scales.force) if slopes is None else slopes.by_velocity
         found_contact = self.found_contact
         if found_contact is None:
-            found_contact = self.scene.find(motion.position)[-1]
+            found_contact = self.scene.find_contact(motion.position)
         held = self.projectors, self.scene.held_nodes
         push, coupling = couple(contact, found_contact, motion, by_velocity, *held, self.scales)
         return (push,), coupling
@@ -222,7 +220,7 @@ class Equations(eqx.Module, Generic[Scheme]):
     def without_contact(self) -> "Equations[Scheme]":
         """The equations of strands that do not feel each other."""
         where = lambda equations: (equations.scene.contact, equations.found)
-        left = None if self.found is None else self.found[: len(self.scene.loads)]
+        left = None if self.found is None else self.found._replace(contact=None)
         return eqx.tree_at(where, self, (None, left), is_leaf=lambda leaf: leaf is None)
 
     def lift(self, x, dx):
@@ -250,7 +248,7 @@ class Equations(eqx.Module, Generic[Scheme]):
         """The scale of a change of positions, or less where what acts asks for less."""
         scene = self.scene
         found = scene.find(position, change) if self.found is None else self.found
-        for one, its in zip(scene.interactions, found, strict=True):
+        for one, its in zip(scene.interactions, found.each, strict=True):
             safe = one.safe_fraction(scene.rod, position, change, its)
             if safe is not None:
                 scale = jnp.minimum(scale, lax.stop_gradient(safe))

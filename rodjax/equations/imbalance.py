@@ -59,7 +59,7 @@ def of_contact(scene: Scene, motion: NodeMotion, found: FoundContact | None = No
     contact = scene.self_contact
     if contact is None:
         return ()
-    near = scene.find(motion.position)[-1] if found is None else found
+    near = scene.find_contact(motion.position) if found is None else found
     return (contact.exerted(scene.rod, motion, near),)
 
 

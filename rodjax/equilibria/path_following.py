@@ -259,7 +259,7 @@ def _overflow(equations: Equations[AtRest], x) -> Int[Array, ""]:
     """A code that tells whether pairs in contact were left out."""
     if equations.scene.contact is None:
         return results.as_code(Result.SUCCESS)
-    pairs = equations.scene.find(equations.motion(x).position)[-1].pairs
+    pairs = equations.scene.find_contact(equations.motion(x).position).pairs
     return jnp.where(pairs.overflow, Result.CAPACITY_OVERFLOW, Result.SUCCESS).astype(jnp.int32)
 
 

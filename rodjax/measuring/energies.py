@@ -98,7 +98,7 @@ def stored(scene: Scene, state: State, role: Role, found: Found | None = None) -
     for i, one in enumerate(scene.interactions):
         if one.role is role:
             look = lambda one=one: one.find(rod, motion.position, None, scene.closed)
-            energy = energy + one.stored(rod, motion, look() if found is None else found[i])
+            energy = energy + one.stored(rod, motion, look() if found is None else found.each[i])
     return energy
 
 

@@ -147,7 +147,7 @@ def _acting(scene: Scene, state: State) -> tuple[_Acting, Found]:
         column[role] = column[role] + wrench if role in column else wrench
 
     acting = []
-    for one, its in zip(scene.interactions, found, strict=True):
+    for one, its in zip(scene.interactions, found.each, strict=True):
         exerted = one.exerted(scene.rod, motion, its)
         acting.append(exerted)
         book(by_role, one.role, exerted)

@@ -1,7 +1,7 @@
 """A scene: one rod, what holds it, what loads it, and whether it touches itself."""
 
 import dataclasses
-from typing import Any
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -16,13 +16,23 @@ from rodjax.inputs.validation import all_known, as_traced, check_instance, known
 from rodjax.interactions.contact import Contact
 from rodjax.interactions.interaction import AbstractInteraction
 from rodjax.interactions.load import AbstractLoad
-from rodjax.interactions.self_contact import SelfContact
+from rodjax.interactions.self_contact import FoundContact, SelfContact
 from rodjax.rods.rod import Rod
 from rodjax.scenes import probing
 from rodjax.scenes.holds import Held, Node
 from rodjax.scenes.potentials import check_potential
 
-Found = tuple[Any, ...]  # by each of a scene's interactions
+
+class Found(NamedTuple):
+    """What a scene's interactions find near the nodes."""
+
+    by_loads: tuple[Any, ...] = ()
+    contact: FoundContact | None = None  # strands of the rod near each other
+
+    @property
+    def each(self) -> tuple[Any, ...]:
+        """By each of `Scene.interactions`."""
+        return self.by_loads if self.contact is None else (*self.by_loads, self.contact)
 
 
 def _with_arrays(part):
@@ -162,9 +172,17 @@ class Scene(eqx.Module):
         self, position: Float[Array, "nodes 3"], displacement: Float[Array, "nodes 3"] | None = None
     ) -> Found:
         """What each of them finds near the nodes, before a motion of the expected displacement."""
-        closed = False if self.contact is None else self.closed
-        given = self.rod, position, displacement, closed
-        return tuple(one.find(*given) for one in self.interactions)
+        given = self.rod, position, displacement
+        by_loads = tuple(load.find(*given) for load in self.loads)
+        own = None if self.contact is None else self.find_contact(position, displacement)
+        return Found(by_loads, own)
+
+    def find_contact(
+        self, position: Float[Array, "nodes 3"], displacement: Float[Array, "nodes 3"] | None = None
+    ) -> FoundContact:
+        """As `find`, of contact with itself alone, which there is."""
+        assert self.contact is not None
+        return SelfContact(self.contact).find(self.rod, position, displacement, self.closed)
 
     @property
     def closed(self) -> bool | Bool[Array, ""]:
