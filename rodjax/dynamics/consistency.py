@@ -91,6 +91,7 @@ def start(
         jnp.zeros((nodes, 6), dtype),
         jnp.zeros((rod.elements, 3), dtype),
     )
+    state = scene.remembering(state)
     start_checks.check_held_once(scene, state)
     start_checks.check_spin(scene, state)
     check_apart(scene, state)
@@ -141,6 +142,7 @@ def restart(
     `with_jerk` also the part of V'' normal to the constraints: M V'' + J^T p = 0,
     J V'' = -J'' V - 2 J' V' and the ends' own (see `generalized_alpha.opening`).
     """
+    scene = scene.recalling(state.memory)
     rod, system = scene.rod, Constrained.of(scene, state)
     given = jnp.zeros_like(state.force)
     if rod.compliance is not None:

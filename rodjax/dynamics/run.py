@@ -116,6 +116,10 @@ def join_runs(start: State, parts: list[Run]) -> Run:
     last = parts[-1]
     if start.settling is None and last.states.settling is not None:  # as the rollout did
         start = dataclasses.replace(start, settling=jnp.asarray(0, jnp.int32))
+    if start.memory is None and last.states.memory is not None:  # which began with the run
+        unknown = lambda leaf: np.full_like(leaf[0], np.nan)
+        memory = jax.tree.map(unknown, last.states.memory)
+        start = dataclasses.replace(start, memory=memory)
     join = lambda *leaves: np.concatenate(leaves)
     states, infos = jax.tree.map(join, *[(part.states, part.infos) for part in parts])
     # put, not converted: that would compile a program for every length

@@ -21,7 +21,7 @@ from rodjax.equations.start_checks import held_twice
 from rodjax.numerics import newton, rotations
 from rodjax.numerics.batching import only_where
 from rodjax.numerics.results import Result, as_code, join
-from rodjax.rods.state import State
+from rodjax.rods.state import State, node_motion
 from rodjax.rods.strains import wound
 from rodjax.scenes import drives
 from rodjax.scenes.scene import Found, Scene
@@ -68,10 +68,10 @@ SETTLING_STEPS = 4
 
 
 def prepare(scene: Scene, state: State) -> State:
-    """The state with the count of settling steps that a scene with switches needs."""
+    """The state with the count of settling steps and the memory that the scene needs."""
     if scene.switch_times and state.settling is None:
-        return dataclasses.replace(state, settling=jnp.asarray(0, jnp.int32))
-    return state
+        state = dataclasses.replace(state, settling=jnp.asarray(0, jnp.int32))
+    return scene.remembering(state)
 
 
 def step(
@@ -190,6 +190,9 @@ def advance_to(
         None if settling is None else jnp.maximum(settling - 1, 0).astype(jnp.int32),
         state.jerk,
     )
+    if scene.remembers:
+        memory = equations.scene.next_memory(node_motion(new))
+        new = dataclasses.replace(new, memory=memory)
     error = local_error(scheme.coefficients, state.auxiliary, auxiliary)
     largest = lambda v: jnp.sqrt(jnp.max(jnp.sum(lax.stop_gradient(v) ** 2, 1)))
     codes = []

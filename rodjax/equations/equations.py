@@ -85,6 +85,7 @@ class Equations(eqx.Module, Generic[Scheme]):
         found: Found | None = None,
     ) -> "Equations[Scheme]":
         """At `time`, what holds the rod at `start` moved by its schedules since."""
+        scene = scene.recalling(start.memory)
         goals = _goals(scene, scheme, start, time)
         held = projectors(scene, start.time)
         return cls(scene, scheme, time, _scales(scene, scheme), held, goals, found)

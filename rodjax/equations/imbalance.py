@@ -12,6 +12,7 @@ from jaxtyping import Array, Float
 
 from rodjax.inputs.argument_types import Number
 from rodjax.interactions.load import total_wrench
+from rodjax.interactions.roles import Role
 from rodjax.interactions.self_contact import FoundContact
 from rodjax.numerics import rotations
 from rodjax.rods import balance
@@ -48,10 +49,22 @@ def imbalance(
 
 
 def of_loads(scene: Scene, motion: NodeMotion, load_factor: Factor | None = None) -> Acting:
-    """What the loads exert on the nodes, or a part of it; nothing without loads."""
+    """What the loads exert on the nodes, or a part of it; nothing without loads.
+
+    What the rod touches is there in full on a path of loads, as its own strands are.
+    """
     if not scene.loads:
         return ()
-    return (_part(total_wrench(scene.loads, scene.rod, motion), load_factor),)
+    if load_factor is None:
+        return (total_wrench(scene.loads, scene.rod, motion),)
+    touched = tuple(load for load in scene.loads if load.role is Role.CONTACT)
+    brought = tuple(load for load in scene.loads if load.role is not Role.CONTACT)
+    acting = ()
+    if brought:
+        acting = (load_factor * total_wrench(brought, scene.rod, motion),)
+    if touched:
+        acting = (*acting, total_wrench(touched, scene.rod, motion))
+    return acting
 
 
 def of_contact(scene: Scene, motion: NodeMotion, found: FoundContact | None = None) -> Acting:
@@ -66,10 +79,6 @@ def of_contact(scene: Scene, motion: NodeMotion, found: FoundContact | None = No
 def acting_on(scene: Scene, motion: NodeMotion, load_factor: Factor | None = None) -> Acting:
     """What all that acts on the nodes exerts on them, strands searched for where these are."""
     return (*of_loads(scene, motion, load_factor), *of_contact(scene, motion))
-
-
-def _part(wrench, load_factor: Factor | None):
-    return wrench if load_factor is None else load_factor * wrench
 
 
 class Moving(NamedTuple):
@@ -120,8 +129,8 @@ def node_tangent(
             if scene.rod.mass is not None:
                 rate = moving.by_acceleration * jnp.concatenate([z[:, :3], vector], 1)
                 total = total + inertial_wrench(scene, moved, moving.acceleration + rate)
-        if scene.loads:
-            total = total - _part(total_wrench(scene.loads, scene.rod, moved), load_factor)
+        for one in of_loads(scene, moved, load_factor):
+            total = total - one
         return total
 
     return node_jacobian(lacking, zero)
@@ -139,6 +148,7 @@ def static_imbalance(
 
 def lacking(scene: Scene, state: State, load_factor: Factor = 0.0) -> Internal:
     """What a state lacks at rest under this part of the loads."""
+    scene = scene.recalling(state.memory)
     motion = at_rest(state.time, state.position, state.quaternion)
     wrench, constraint = static_imbalance(scene, motion, state.force, load_factor)
     return Internal(wrench[:, :3], wrench[:, 3:], constraint)

@@ -4,6 +4,7 @@ A start that is an equilibrium already stays one; a rod placed at rest sees its 
 zero.
 """
 
+import dataclasses
 import warnings
 from typing import NamedTuple
 
@@ -106,7 +107,9 @@ def equilibrium(
             `EquilibriumInfo.result` tells, and the state's numbers are NaN.
 
     Differentiable in every array of scene, state and time, in forward and reverse mode: by the
-    implicit function theorem at the solution, without differentiating the path.
+    implicit function theorem at the solution, without differentiating the path. What friction or
+    a material remembers is what the steps of the path left, so the state hangs on the path and on
+    `load_steps`; derivatives hold the memory before the last step.
 
     Where neither end holds the spin of the rod about itself (a cable between pins, or hung from
     one) and turning all cross-sections about their tangents costs no energy, they stay as they
@@ -121,6 +124,7 @@ def equilibrium(
         SimulationError: the path ended early, as it does where the equilibrium becomes critical.
     """
     check_motion(scene, state)
+    state = scene.remembering(state)
     dtype = state.position.dtype
     stop = jnp.asarray(state.time if time is None else time, dtype)
     if tolerance is None:
@@ -197,10 +201,11 @@ def _equilibrium(
     )
     time = state.time + path.reached * (stop - state.time)
     at_start = lacking(scene, state)
+    before = dataclasses.replace(state, memory=newton.constant(path.memory))
 
     def resisted(resistance):
         rest = rest_on_path(path.reference, max_rotation, path.reached, at_start, resistance)
-        return Equations.of(scene, rest, state, time)
+        return Equations.of(scene, rest, before, time)
 
     equations = resisted(None)
     if hold.spin:
@@ -212,7 +217,9 @@ def _equilibrium(
     motion = equations.motion(x)
     zero = jnp.zeros_like(state.rate)
     quaternion = rotations.normalize(motion.quaternion)
-    new = State(time, motion.position, quaternion, zero, zero, zero, equations.force(x))
+    memory = equations.scene.next_memory(motion)
+    force = equations.force(x)
+    new = State(time, motion.position, quaternion, zero, zero, zero, force, memory=memory)
     return new, EquilibriumInfo(
         result=path.result,
         iterations=path.iterations,

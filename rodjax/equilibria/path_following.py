@@ -19,6 +19,7 @@ step repeated until it rests: a spin that costs no energy stays what it is, and 
 to where it is balanced.
 """
 
+from dataclasses import replace
 from typing import NamedTuple
 
 import jax
@@ -34,6 +35,7 @@ from rodjax.equilibria.motion_norms import moving_weight, resisting_weight
 from rodjax.equilibria.unstable_modes import count_below, neutral
 from rodjax.numerics import newton, results, rotations
 from rodjax.numerics.results import Result
+from rodjax.rods.state import Memory
 from rodjax.rods.strains import relative_rotation, wound
 from rodjax.scenes import drives
 from rodjax.scenes.scene import Scene
@@ -80,6 +82,7 @@ class Path(NamedTuple):
     reached: Float[Array, ""]
     unstable: Int[Array, ""]  # modes at x; -1 if they were not counted
     repeats: Int[Array, ""]  # steps at the end of the path until the spin rests
+    memory: Memory | None  # before the step to x
 
 
 class _Descent(NamedTuple):
@@ -113,13 +116,19 @@ def follow(
     elastic = jnp.mean(scene.rod.stiffness[:, :2]) / jnp.sum(scene.rod.length) ** 2
     spinning = spin_resistance(scene)
 
-    def equations(target, reference, sigma: Array | float = 0.0, repeats: Array | float = 0.0):
+    def equations(
+        target,
+        reference,
+        memory: Memory | None,
+        sigma: Array | float = 0.0,
+        repeats: Array | float = 0.0,
+    ):
         resistance = sigma * weight
         if hold.spin:
             # what does not rest at once costs energy, and needs the less resistance
             resistance = resistance + spinning * jnp.exp2(-2.0 * jnp.minimum(repeats, 10.0))
         rest = rest_on_path(reference, max_rotation, target, at_start, resistance)
-        return Equations.of(scene, rest, state, when(target))
+        return Equations.of(scene, rest, replace(state, memory=memory), when(target))
 
     def unfinished(carry):
         path, _ = carry
@@ -145,10 +154,12 @@ def follow(
             assert driven is not None  # an end turns
         pick = lambda a, b: jax.tree.map(lambda a, b: jnp.where(descent.active, a, b), a, b)
         target = jnp.where(opening, path.reached, pick(descent.target, whole(step)))
-        here = _configuration(equations(path.reached, path.reference), path.x)
+        behind = equations(path.reached, path.reference, path.memory)
+        here = _configuration(behind, path.x)
+        memory = None if path.memory is None else behind.scene.next_memory(behind.motion(path.x))
         reference, force = pick((descent.reference, descent.force), here)
         sigma = jnp.where(descent.active & ~descent.free, descent.resistance, 0.0)
-        trial = equations(target, reference, sigma, path.repeats.astype(path.x.dtype))
+        trial = equations(target, reference, memory, sigma, path.repeats.astype(path.x.dtype))
         # the first time round only the start's modes are counted
         most = jnp.where(opening, 0, max_iterations)
         x, solved = newton.iterate(trial, trial.guess(force), tolerance, most, patience)
@@ -206,6 +217,7 @@ def follow(
             keep(target, path.reached),
             jnp.where(stay | advance | opening, start, path.unstable),
             path.repeats + (path.reached == 1).astype(jnp.int32),
+            keep(memory, path.memory),
         )
         ahead = _configuration(trial, x)
         ahead = jax.tree.map(lambda a, b: jnp.where(good, a, b), ahead, (reference, force))
@@ -231,9 +243,9 @@ def follow(
     no = jnp.asarray(False)
     nowhere = jnp.zeros_like(first)
     reference = state.position, state.quaternion
-    x = equations(nowhere, reference).guess(state.force)
+    x = equations(nowhere, reference, state.memory).guess(state.force)
     unstable = jnp.where(leave == ACCEPT, _NOT_COUNTED, _UNKNOWN).astype(jnp.int32)
-    path = Path(first, reference, x, none, none, none, none, nowhere, unstable, none)
+    path = Path(first, reference, x, none, none, none, none, nowhere, unstable, none, state.memory)
     descent = _Descent(no, nowhere, reference, state.force, nowhere, no, none, none, none)
     path, descent = lax.while_loop(unfinished, attempt, (path, descent))
     return path, descent.all_steps

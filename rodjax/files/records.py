@@ -130,6 +130,8 @@ def fits(value, hint) -> bool:
         return callable(value)
     if not isinstance(hint, type):
         return True
+    if hint is Any:
+        return True
     if hint is type(None):
         return value is None
     if issubclass(hint, jaxtyping.AbstractArray):

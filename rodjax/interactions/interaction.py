@@ -45,6 +45,33 @@ class AbstractInteraction(eqx.Module):
         # zero to the last digit where motion makes no difference
         return exerted - self.exerted(rod, at_rest(*motion[:3]), found)
 
+    @property
+    def remembers(self) -> bool:
+        """Whether what it exerts hangs on the motion before, see `recalling`."""
+        return False
+
+    def first_memory(self, rod: Rod, motion: NodeMotion) -> Any:
+        """What it remembers at a start, any pytree of arrays."""
+        return None
+
+    def next_memory(self, rod: Rod, motion: NodeMotion) -> Any:
+        """What it remembers after an accepted step to this motion, of the same kind.
+
+        Asked of what recalls the memory before the step. What it exerts on this motion must be the
+        same with either. Derivatives pass through it.
+        """
+        return None
+
+    def recalling(self, memory: Any) -> "AbstractInteraction":
+        """It with what it remembers, in its field `memory`, held while Newton's method iterates.
+
+        That field is None else, as for a look at what it would exert without a past.
+        """
+        if memory is None:
+            return self
+        where = lambda one: one.memory
+        return eqx.tree_at(where, self, memory, is_leaf=lambda leaf: leaf is None)
+
     def find(
         self,
         rod: Rod,

@@ -8,16 +8,9 @@ from rodjax.interactions.roles import Role
 from rodjax.numerics.compilation import compiled
 from rodjax.rods import inertia
 from rodjax.rods.rod import Rod
-from rodjax.rods.state import NodeMotion, State
+from rodjax.rods.state import State, node_motion
 from rodjax.rods.strains import curvature, strains
 from rodjax.scenes.scene import Found, Scene
-
-
-def node_motion(state: State) -> NodeMotion:
-    """What loads see of a state."""
-    return NodeMotion(
-        state.time, state.position, state.quaternion, state.velocity, state.angular_velocity
-    )
 
 
 def _moment_energy_density(rod: Rod, state: State) -> Float[Array, "n 3"]:
@@ -93,7 +86,7 @@ def stored(scene: Scene, state: State, role: Role, found: Found | None = None) -
     Args:
         found: by what acts, see `Scene.find`; None: looked for in the state.
     """
-    rod, motion = scene.rod, node_motion(state)
+    scene, rod, motion = scene.recalling(state.memory), scene.rod, node_motion(state)
     energy = jnp.zeros((), state.position.dtype)
     for i, one in enumerate(scene.interactions):
         if one.role is role:

@@ -140,6 +140,7 @@ class _Acting(NamedTuple):
 @eqx.filter_jit  # traced once, for its shapes and for the scan
 def _acting(scene: Scene, state: State) -> tuple[_Acting, Found]:
     """What acts, and what the interactions found, searched for once for forces and energies."""
+    scene = scene.recalling(state.memory)
     motion, by_role, lost = node_motion(state), {}, {}
     found = scene.find(state.position)
 

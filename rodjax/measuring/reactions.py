@@ -43,6 +43,7 @@ def reactions(scene: Scene, state: State) -> Reactions:
         torque about an axis:    jax.lax.map(lambda s: reactions(scene, s).torque[0] @ axis, states)
         force along the axis:    jax.lax.map(lambda s: reactions(scene, s).force[1] @ axis, states)
     """
+    scene = scene.recalling(state.memory)
     lacking = unbalanced(scene, state, acting_on(scene, node_motion(state)))
     supplied = jnp.einsum("eij,ej->ei", projectors(scene, state.time), lacking)
     frames = rows_at(state.quaternion, scene.held_nodes)

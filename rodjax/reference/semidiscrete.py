@@ -157,6 +157,8 @@ def _check(scene: Scene) -> None:
         raise ValueError("contact: not part of the differential equation; use rodjax.rollout")
     if scene.supports:
         raise ValueError("supports: not part of the differential equation; use rodjax.rollout")
+    if scene.remembers:
+        raise ValueError("loads: one remembers, which the equation cannot; use rodjax.rollout")
     if scene.switch_times:
         raise ValueError(
             "first_end, last_end: a constraint that changes gives an impulse; integrate up to the"

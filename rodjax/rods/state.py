@@ -1,12 +1,24 @@
 """What the next step needs to know, and nothing else; and what loads see of it."""
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
 from rodjax.numerics import rotations
+
+
+class Memory(NamedTuple):
+    """What is remembered of the motion up to an accepted step.
+
+    Attributes:
+        loads: by each of the scene's loads, None by one that forgets.
+        material: by the rod's material; None where it forgets.
+    """
+
+    loads: tuple[Any, ...] = ()
+    material: Any = None
 
 
 class State(eqx.Module):
@@ -27,6 +39,7 @@ class State(eqx.Module):
         acceleration, auxiliary, jerk: rates of those [m/s^2, rad/s^2; m/s^3, rad/s^3].
         force: (f1, f2, f3) of the elements, f3 along the tangent, tension positive [N].
         settling: a count of steps.
+        memory: what loads and material remember; None in scenes where nothing does.
     """
 
     time: Float[Array, ""]
@@ -38,6 +51,7 @@ class State(eqx.Module):
     force: Float[Array, "n 3"]
     settling: Int[Array, ""] | None = None
     jerk: Float[Array, "nodes 6"] | None = None
+    memory: Memory | None = None
 
     @property
     def velocity(self) -> Float[Array, "... nodes 3"]:
@@ -66,6 +80,13 @@ class NodeMotion(NamedTuple):
     quaternion: Float[Array, "nodes 4"]
     velocity: Float[Array, "nodes 3"]
     angular_velocity: Float[Array, "nodes 3"]
+
+
+def node_motion(state: State) -> NodeMotion:
+    """What loads see of a state."""
+    return NodeMotion(
+        state.time, state.position, state.quaternion, state.velocity, state.angular_velocity
+    )
 
 
 def at_rest(time, position, quaternion) -> NodeMotion:

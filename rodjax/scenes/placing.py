@@ -5,7 +5,7 @@ from jaxtyping import Array, Float
 
 from rodjax.inputs.argument_types import Number
 from rodjax.inputs.validation import check_finite, check_scalar
-from rodjax.rods.state import State
+from rodjax.rods.state import State, at_rest
 from rodjax.scenes.arguments import check_scene
 from rodjax.scenes.scene import Scene
 
@@ -25,4 +25,5 @@ def placing(scene: Scene, time: Number | Float[Array, ""] = 0.0) -> State:
     rate = jnp.zeros((rod.elements + 1, 6), dtype)
     force = jnp.zeros((rod.elements, 3), dtype)
     now = jnp.asarray(time, dtype)
-    return State(now, rod.position, rod.quaternion, rate, rate, rate, force)
+    memory = scene.first_memory(at_rest(now, rod.position, rod.quaternion))
+    return State(now, rod.position, rod.quaternion, rate, rate, rate, force, memory=memory)

@@ -18,6 +18,7 @@ from rodjax.interactions.interaction import AbstractInteraction
 from rodjax.interactions.load import AbstractLoad
 from rodjax.interactions.self_contact import FoundContact, SelfContact
 from rodjax.rods.rod import Rod
+from rodjax.rods.state import Memory, NodeMotion, State, node_motion
 from rodjax.scenes import probing
 from rodjax.scenes.holds import Held, Node
 from rodjax.scenes.potentials import check_potential
@@ -166,6 +167,50 @@ class Scene(eqx.Module):
         """What acts on the rod: its loads, then contact with itself if there is any."""
         own = self.self_contact
         return self.loads if own is None else (*self.loads, own)
+
+    @property
+    def remembers(self) -> bool:
+        """Whether anything of it remembers the motion before, see `State.memory`."""
+        return any(load.remembers for load in self.loads)
+
+    def first_memory(self, motion: NodeMotion) -> Memory | None:
+        """What is remembered at a start; None where nothing is."""
+        if not self.remembers:
+            return None
+        return Memory(tuple(load.first_memory(self.rod, motion) for load in self.loads))
+
+    def next_memory(self, motion: NodeMotion) -> Memory | None:
+        """What is remembered after an accepted step, asked of `recalling` the step's start."""
+        if not self.remembers:
+            return None
+        return Memory(tuple(load.next_memory(self.rod, motion) for load in self.loads))
+
+    def remembering(self, state: State) -> State:
+        """The state with the memory that a run of the scene needs, begun anew where it has none.
+
+        Raises:
+            ValueError: what it remembers is not of this scene.
+        """
+        if not self.remembers:
+            return state if state.memory is None else dataclasses.replace(state, memory=None)
+        begun = lambda: self.first_memory(node_motion(state))
+        if state.memory is None:
+            return dataclasses.replace(state, memory=begun())
+        shapes = lambda memory: jax.tree.map(jnp.shape, memory)
+        if shapes(state.memory) != shapes(jax.eval_shape(begun)):
+            raise ValueError(
+                "state: remembers what happened in another scene; let it begin to remember anew by"
+                " dataclasses.replace(state, memory=None)"
+            )
+        return state
+
+    def recalling(self, memory: Memory | None) -> "Scene":
+        """The scene of which all parts know what they remember."""
+        if memory is None or not self.remembers:
+            return self
+        pairs = zip(self.loads, memory.loads, strict=True)
+        loads = tuple(load.recalling(its) for load, its in pairs)
+        return eqx.tree_at(lambda scene: scene.loads, self, loads)
 
     @jax.named_scope("find")
     def find(
