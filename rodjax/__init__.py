@@ -70,6 +70,9 @@ from rodjax.numerics.results import SimulationError as SimulationError
 from rodjax.rods.builders import curved_rod as curved_rod
 from rodjax.rods.builders import straight_rod as straight_rod
 from rodjax.rods.imperfection import imperfect as imperfect
+from rodjax.rods.kelvin_voigt import KelvinVoigt as KelvinVoigt
+from rodjax.rods.linear_material import LinearMaterial as LinearMaterial
+from rodjax.rods.material import AbstractMaterial as AbstractMaterial
 from rodjax.rods.regridding import regrid as regrid
 from rodjax.rods.rod import Rod as Rod
 from rodjax.rods.section import Section as Section
@@ -148,6 +151,7 @@ __all__ = [
     "AbstractEnd",
     "AbstractLaw",
     "AbstractLoad",
+    "AbstractMaterial",
     "AbstractSchedule",
     "Barrier",
     "Clamped",
@@ -168,8 +172,10 @@ __all__ = [
     "Interrupted",
     "Interval",
     "InversePower",
+    "KelvinVoigt",
     "LennardJones",
     "LinearDrag",
+    "LinearMaterial",
     "LogNormalPrior",
     "ModelWarning",
     "MorisonDrag",

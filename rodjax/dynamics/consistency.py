@@ -22,7 +22,7 @@ from rodjax.numerics.compilation import compiled
 from rodjax.numerics.failure import not_a_number
 from rodjax.rods import balance
 from rodjax.rods.framing import of_one_sign
-from rodjax.rods.state import State
+from rodjax.rods.state import State, at_rest
 from rodjax.rods.strains import strains
 from rodjax.scenes.arguments import check_scene
 from rodjax.scenes.scene import Scene
@@ -145,14 +145,14 @@ def restart(
     scene = scene.recalling(state.memory)
     rod, system = scene.rod, Constrained.of(scene, state)
     given = jnp.zeros_like(state.force)
-    if rod.compliance is not None:
-        axial = jnp.asarray([[0.0, 0.0, 1.0]], given.dtype)
-        give = jnp.where(rod.compliance > 0, rod.compliance, 1.0)
-        given = jnp.where(rod.compliance > 0, (system.kinematics.stretch - axial) / give, 0.0)
-        given = given / system.scales.force
     still = jnp.zeros_like(state.rate)
     rate, loss = (still, jnp.zeros_like(state.time)) if rod.mass is None else system.project()
     motion = system.moving(rate)
+    if rod.compliance is not None:
+        give = jnp.where(rod.compliance > 0, rod.compliance, 1.0)
+        strain = balance.damped_strain(rod, system.kinematics, motion)
+        given = jnp.where(rod.compliance > 0, strain / give, 0.0)
+        given = given / system.scales.force
     none = jnp.zeros_like(state.force)
     wrench = -imbalance(scene, motion, none, acting_on(scene, motion), still)[0]
     velocities, accelerations = zip(*system.prescribed(ends.rates), strict=True)
@@ -182,8 +182,9 @@ def compiled_restart(
 ) -> tuple[State, Float[Array, ""], Float[Array, ""]]:
     """`restart` with the jerk, of unit quaternions; the worst error of the constraint besides."""
     unit = rotations.normalize(state.quaternion)
-    stretch = strains(scene.rod, state.position, unit).stretch
-    gap = balance.constraint(scene.rod, stretch, jnp.zeros_like(stretch))
+    kinematics = strains(scene.rod, state.position, unit)
+    still = at_rest(state.time, state.position, unit)
+    gap = balance.constraint(scene.rod, kinematics, jnp.zeros_like(state.force), still)
     if scene.rod.compliance is not None:
         gap = jnp.where(scene.rod.compliance > 0, 0.0, gap)
     new, lost = restart(scene, dataclasses.replace(state, quaternion=unit), with_jerk=True)

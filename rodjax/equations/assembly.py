@@ -86,6 +86,8 @@ def assemble(
     after = lambda blocks: jnp.pad(blocks, ((0, 1), (0, 0), (0, 0)))
     zero = jnp.zeros((n, 3, 3), dtype)
     edge = jnp.swapaxes(tangent.frame, 1, 2) * (l / rod.length)[:, None, None]
+    if tangent.constraint_edge is not None:
+        edge = l * tangent.constraint_edge
     give = zero
     if rod.compliance is not None:
         give = -f * rod.compliance[:, :, None] * jnp.eye(3, dtype=dtype)[None]

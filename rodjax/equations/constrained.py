@@ -61,7 +61,7 @@ class Constrained(eqx.Module):
         nodes = self.scene.held_nodes
         moved = rows_at(rate, nodes) / scales.motion[None]
         wrench = impose(wrench / scales.wrench[None], moved, self.projectors, nodes)
-        stretching = self.stretch_derivatives(rate, jnp.zeros_like(rate), 1)[0]
+        stretching = self._stretching(rate, jnp.zeros_like(rate), 1)[0]
         constraint = self.rigid * stretching + (1 - self.rigid) * x[1:, 3:6]
         return residual_rows(x, constraint, wrench)
 
@@ -85,7 +85,16 @@ class Constrained(eqx.Module):
         return scales.change(x), scales.internal_force(x)
 
     def stretch_derivatives(self, rate, acceleration, order):
-        """See `stretch_rates`."""
+        """See `stretch_rates`; with what actuation adds."""
+        rod = self.scene.rod
+        found = self._stretching(rate, acceleration, order)
+        if rod.torque_per_tension is None or rod.actuation is None:
+            return found
+        driven = stretch_rates.driven(rod, self.state.time, order)
+        return [own + added for own, added in zip(found, driven, strict=True)]
+
+    def _stretching(self, rate, acceleration, order):
+        """That of the motion alone."""
         return stretch_rates.derivatives(
             self.scene.rod, self.state.quaternion, self.kinematics, rate, acceleration, order
         )

@@ -16,7 +16,6 @@ from rodjax.equations.coupling import Coupling, couple
 from rodjax.equations.generalized_alpha import coefficients
 from rodjax.equations.imbalance import (
     Acting,
-    Moving,
     imbalance,
     node_tangent,
     of_contact,
@@ -27,7 +26,7 @@ from rodjax.interactions.self_contact import FoundContact
 from rodjax.numerics import newton, rotations
 from rodjax.numerics.batching import one_by_one
 from rodjax.rods import balance
-from rodjax.rods.state import NodeMotion, State, at_rest
+from rodjax.rods.state import Moving, NodeMotion, State, at_rest
 from rodjax.scenes.holds import impose, rows_at
 from rodjax.scenes.scene import Found, Scene, projectors
 
@@ -178,9 +177,7 @@ class Equations(eqx.Module, Generic[Scheme]):
             turn = placed.increment[:, 3:]
             numbers = slopes.by_velocity, slopes.by_acceleration
             moving = Moving(placed.acceleration, turn, *numbers)
-        tangent = balance.element_tangent(
-            scene.rod, motion.position, motion.quaternion, self.force(x)
-        )
+        tangent = balance.element_tangent(scene.rod, motion, self.force(x), moving)
         node = node_tangent(scene, motion, moving=moving, load_factor=scheme.load_part())
         node = scheme.stiffened(placed.change, node)
         first = scene.first_end

@@ -4,8 +4,6 @@ internal + inertia - what acts on the nodes, summed here for the equations of a 
 rest, of a start, and for the reactions of what holds it.
 """
 
-from typing import NamedTuple
-
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
@@ -18,7 +16,7 @@ from rodjax.numerics import rotations
 from rodjax.rods import balance
 from rodjax.rods.balance import Internal
 from rodjax.rods.inertia import inertial_wrench, node_jacobian
-from rodjax.rods.state import NodeMotion, State, at_rest
+from rodjax.rods.state import Moving, NodeMotion, State, at_rest
 from rodjax.scenes.scene import Scene
 
 Factor = Number | Float[Array, ""]
@@ -39,7 +37,7 @@ def imbalance(
         acting: what else acts on the nodes, see `acting_on`.
         acceleration: of the nodes; None for no inertia.
     """
-    inner = balance.internal(scene.rod, motion.position, motion.quaternion, force)
+    inner = balance.internal(scene.rod, motion, force)
     wrench = jnp.concatenate([inner.force, inner.moment], 1)
     if scene.rod.mass is not None and acceleration is not None:
         wrench = wrench + inertial_wrench(scene, motion, acceleration)
@@ -79,15 +77,6 @@ def of_contact(scene: Scene, motion: NodeMotion, found: FoundContact | None = No
 def acting_on(scene: Scene, motion: NodeMotion, load_factor: Factor | None = None) -> Acting:
     """What all that acts on the nodes exerts on them, strands searched for where these are."""
     return (*of_loads(scene, motion, load_factor), *of_contact(scene, motion))
-
-
-class Moving(NamedTuple):
-    """Accelerations of the nodes, and how rates follow their increments in a step."""
-
-    acceleration: Float[Array, "nodes 6"]
-    turn: Float[Array, "nodes 3"]  # rotation vector; its increment for a spin d is J(turn)^-1 d
-    by_velocity: Float[Array, ""]  # [1/s]
-    by_acceleration: Float[Array, ""]  # [1/s^2]
 
 
 def node_tangent(

@@ -27,7 +27,7 @@ from rodjax.numerics.eigenvalues import far_above
 from rodjax.rods import balance
 from rodjax.rods.inertia import inertial_wrench, node_jacobian
 from rodjax.rods.rod import Rod
-from rodjax.rods.state import State, at_rest, moved
+from rodjax.rods.state import NodeMotion, State, at_rest, moved
 from rodjax.rods.strains import strains
 from rodjax.scenes.scene import Scene, projectors
 
@@ -154,11 +154,12 @@ def mass_matrix(scene: Scene, state: State, motions: Admissible) -> Float[Array,
 
 
 def damping_matrix(scene: Scene, state: State, motions: Admissible) -> Float[Array, "m m"]:
-    """Minus the derivative of the loads by the velocities, at rest."""
+    """Minus the derivative of the loads by the velocities, at rest; with that of the material."""
     motion = at_rest(state.time, state.position, state.quaternion)
     zero = jnp.zeros_like(state.rate)
+    inner = _material_damping(scene, motion, motions)
     if not scene.loads:
-        return jnp.zeros_like(motions.stiffness)
+        return jnp.zeros_like(motions.stiffness) if inner is None else inner
 
     def wrench(rate):
         moving = motion._replace(velocity=rate[:, :3], angular_velocity=rate[:, 3:])
@@ -167,7 +168,29 @@ def damping_matrix(scene: Scene, state: State, motions: Admissible) -> Float[Arr
     # over A T / L^3, before the lengths of the motions are put in
     unit = mean_bending(scene) / jnp.sum(scene.rod.length) ** 2 / jnp.sum(scene.rod.length)
     matrix = node_jacobian(wrench, zero) * (rate_of(scene) / unit)
-    return motions.on_motions(_scaled(matrix, scene))
+    outer = motions.on_motions(_scaled(matrix, scene))
+    return outer if inner is None else outer + inner
+
+
+def _material_damping(
+    scene: Scene, motion: NodeMotion, motions: Admissible
+) -> Float[Array, "m m"] | None:
+    """The derivative of the internal moments by the velocities, of a viscous material."""
+    material = scene.rod.material
+    if material is None or not material.viscous:
+        return None
+    force = jnp.zeros_like(motion.position[1:])
+    # over A T / L, of spins a unit of time
+    unit = mean_bending(scene) / jnp.sum(scene.rod.length) / rate_of(scene)
+
+    def wrench(rate):
+        moving = motion._replace(angular_velocity=rate[:, 3:])
+        return balance.internal(scene.rod, moving, force).moment / unit
+
+    zero = jnp.zeros_like(motions.basis[0])
+    push = lambda z: jax.jvp(wrench, (zero,), (z,))[1]
+    spins = motions.basis[:, :, 3:].reshape(len(motions.basis), -1)
+    return spins @ jax.vmap(push)(motions.basis).reshape(len(spins), -1).T
 
 
 def _scaled(matrix: Float[Array, "nodes 6 6"], scene: Scene) -> Float[Array, "nodes 6 6"]:

@@ -103,7 +103,7 @@ def _count(equations: Equations[AtRest], x, added: Float[Array, "nodes 6"]) -> I
 def _tangent(equations: Equations[AtRest], x) -> BlockTridiagonal:
     """The tangent of the rod that nothing holds."""
     scene, motion, force = equations.scene, equations.motion(x), equations.force(x)
-    elements = balance.element_tangent(scene.rod, motion.position, motion.quaternion, force)
+    elements = balance.element_tangent(scene.rod, motion, force)
     scheme = equations.scheme
     node = node_tangent(scene, motion, load_factor=scheme.load_part())
     # by spins of the body a moment m that is not balanced leaves hat(m)/2 in the tangent; neither

@@ -5,25 +5,28 @@ from jaxtyping import Array, Float
 
 from rodjax.equations.imbalance import of_contact
 from rodjax.interactions.roles import Role
+from rodjax.numerics import rotations
 from rodjax.numerics.compilation import compiled
-from rodjax.rods import inertia
+from rodjax.rods import balance, inertia
+from rodjax.rods.constitution import moment_energy_density
 from rodjax.rods.rod import Rod
 from rodjax.rods.state import State, node_motion
-from rodjax.rods.strains import curvature, strains
+from rodjax.rods.strains import relative_rotation, strains
 from rodjax.scenes.scene import Found, Scene
 
 
 def _moment_energy_density(rod: Rod, state: State) -> Float[Array, "n 3"]:
-    """The three terms of Eq. (4), B diagonal."""
-    return 0.5 * rod.stiffness * (curvature(rod, state.quaternion) - rod.natural_curvature) ** 2
+    """The three terms of Eq. (4), or what the rod's material stores."""
+    rotation = rotations.logarithm(relative_rotation(state.quaternion))
+    return moment_energy_density(rod, rotation, node_motion(state))
 
 
 def _force_energy_density(rod: Rod, state: State) -> Float[Array, "n 3"]:
-    """f . compliance f / 2 with f = (gamma - e3) / compliance; zero where nothing gives."""
+    """f . compliance f / 2 with the f that the strains store; zero where nothing gives."""
     if rod.compliance is None:
         return jnp.zeros_like(rod.stiffness)
-    stretch = strains(rod, state.position, state.quaternion).stretch
-    gap = stretch - jnp.asarray([[0.0, 0.0, 1.0]], stretch.dtype)
+    kinematics = strains(rod, state.position, state.quaternion)
+    gap = balance.force_strain(rod, kinematics, node_motion(state))
     gives = rod.compliance > 0
     return jnp.where(gives, 0.5 * gap**2 / jnp.where(gives, rod.compliance, 1.0), 0.0)
 
@@ -32,14 +35,23 @@ def _force_energy_density(rod: Rod, state: State) -> Float[Array, "n 3"]:
 def strain_energy_density(rod: Rod, state: State) -> Float[Array, " n"]:
     """Strain energy per length of the elements of a rod in this state [J/m].
 
-    Eq. (4), (kappa - kappa0)^T B (kappa - kappa0) / 2, plus that of f.
+    Eq. (4), (kappa - kappa0)^T B (kappa - kappa0) / 2, or what the rod's material stores, plus
+    that of f. With an actuation kappa0 is that at the state's time.
     """
     density = jnp.sum(_moment_energy_density(rod, state), 1)
     return density + jnp.sum(_force_energy_density(rod, state), 1)
 
 
+def strain_energy(rod: Rod, state: State) -> Float[Array, ""]:
+    """Strain energy of a rod in a state [J]."""
+    return jnp.sum(rod.length * strain_energy_density(rod, state))
+
+
 def bending_energy(scene: Scene, state: State) -> Float[Array, ""]:
-    """The part of Eq. (4) in A1 and A2, over the rod of the scene in this state [J]."""
+    """The part of Eq. (4) in A1 and A2, over the rod of the scene in this state [J].
+
+    And half of what couples bending with twist, and what a material does not share out.
+    """
     rod = scene.rod
     return jnp.sum(rod.length[:, None] * _moment_energy_density(rod, state)[:, :2])
 

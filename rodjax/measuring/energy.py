@@ -1,9 +1,10 @@
 """Energies of a state, reactions of the ends, and the energy ledger of a run.
 
 The ledger says where the work of drives and loads went:
-    W_drives + W_loads = change of (bending + torsion + axial + kinetic + gravity energy)
+    W_drives + W_loads + W_actuation
+                       = change of (bending + torsion + axial + kinetic + gravity energy)
                          + change of contact energy + losses of contact, drag and damping
-                         + projection losses.
+                         + losses of the material + projection losses.
 Every term is integrated for itself, none is a remainder; what the two sides differ by is the
 numerical loss of the time integration plus the error of the quadrature.
 """
@@ -32,6 +33,7 @@ from rodjax.measuring.energies import (
     strain_energy_density,
     torsion_energy,
 )
+from rodjax.measuring.material_work import booked, material_work
 from rodjax.measuring.reactions import Reactions, reactions, unbalanced
 from rodjax.numerics import rotations
 from rodjax.rods.state import State
@@ -79,6 +81,9 @@ class Ledger(NamedTuple):
         contact_energy: stored between the strands, and by such loads.
         contact_loss: to the damping of the contact law and of such loads; all its work where
             nothing is stored.
+        actuation_work: done by the schedule of the natural curvature, and by what else changes a
+            material in time; None where there is neither.
+        material_loss: of the rod's material, by its strain rates; None of a linear rod.
     """
 
     time: Float[Array, " k"]
@@ -95,11 +100,14 @@ class Ledger(NamedTuple):
     projection_loss: Float[Array, " k"]  # kinetic energy lost where a constraint began
     contact_energy: Float[Array, " k"] | None = None  # None: of a file of an earlier version
     contact_loss: Float[Array, " k"] | None = None  # part of contact_work
+    actuation_work: Float[Array, " k"] | None = None
+    material_loss: Float[Array, " k"] | None = None
 
     @property
     def work(self) -> Float[Array, " k"]:
-        """Work of drives and loads [J]."""
-        return self.drive_work + self.load_work
+        """Work of drives, loads and actuation [J]."""
+        given = self.drive_work + self.load_work
+        return given if self.actuation_work is None else given + self.actuation_work
 
     @property
     def strain(self) -> Float[Array, " k"]:
@@ -111,6 +119,8 @@ class Ledger(NamedTuple):
         """Work less everything that it is accounted to have become [J]: the numerical loss."""
         stored = self.strain + self.kinetic + self.gravity
         losses = self.drag_loss + self.damping_loss + self.projection_loss
+        if self.material_loss is not None:
+            losses = losses + self.material_loss
         if self.contact_energy is None or self.contact_loss is None:
             losses = losses + self.contact_work
         else:
@@ -212,7 +222,7 @@ def ledger(scene: Scene, run: Run) -> Ledger:
     return jax.tree.map(jax.device_put, booked)
 
 
-def _intervals(scene: Scene, run: Run) -> tuple[Float[Array, "k 6"], Float[Array, "k 6"]]:
+def _intervals(scene: Scene, run: Run) -> tuple[Float[Array, "k works"], Float[Array, "k 6"]]:
     """Works and losses of the intervals, that from the first state to itself first; energies."""
     first = jax.tree.map(lambda leaf: leaf[0], run.states)
     # from the first state to itself what acted before does not matter
@@ -243,6 +253,8 @@ def _interval(carry, after: State, scene: Scene):
             -work(old.contact_damping, new.contact_damping),
         ]
     )
+    if booked(scene.rod):
+        gains = jnp.concatenate([gains, jnp.stack(material_work(scene.rod, before, after))])
     parts = bending_energy, torsion_energy, axial_energy, kinetic_energy, gravity_energy
     values = [part(scene, after) for part in parts]
     energies = jnp.stack([*values, stored(scene, after, Role.CONTACT, found)])
@@ -257,7 +269,8 @@ def _booked(xp, run: Run, gains, energy) -> Ledger:
     lost = xp.concatenate([xp.zeros((1,), lost.dtype), lost])
     total = xp.cumsum(xp.concatenate([gains, lost[:, None]], 1), 0)
     total = total - total[:1]
-    drive_work, load_work, contact_work, drag, damping, contact_loss, projection = total.T
+    drive_work, load_work, contact_work, drag, damping, contact_loss, *own, projection = total.T
+    actuation, material_loss = own if own else (None, None)
     bending, torsion, axial, kinetic, gravity, contact = energy.T
     return Ledger(
         run.states.time,
@@ -274,4 +287,6 @@ def _booked(xp, run: Run, gains, energy) -> Ledger:
         projection,
         contact,
         contact_loss,
+        actuation,
+        material_loss,
     )

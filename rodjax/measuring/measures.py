@@ -139,8 +139,9 @@ def _contacts(s, scene):
 
 def stretch_error(rod: Rod, state: State) -> Float[Array, ""]:
     """Largest |gamma - e3 - compliance f| of any element and component of a rod in a state [-]."""
-    stretch = strains(rod, state.position, state.quaternion).stretch
-    return jnp.max(jnp.abs(balance.constraint(rod, stretch, state.force)))
+    kinematics = strains(rod, state.position, state.quaternion)
+    motion = energy.node_motion(state)
+    return jnp.max(jnp.abs(balance.constraint(rod, kinematics, state.force, motion)))
 
 
 class Apex(NamedTuple):

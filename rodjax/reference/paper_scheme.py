@@ -58,7 +58,7 @@ from rodjax.numerics.failure import not_a_number
 from rodjax.numerics.results import Result, join
 from rodjax.reference.paper_equations import Fields, PaperEquations, weights
 from rodjax.reference.paper_solvers import AbstractSolver, BlockSolve
-from rodjax.rods.rod import Rod
+from rodjax.rods.rod import Rod, check_linear
 from rodjax.rods.state import State
 from rodjax.rods.strains import curvature
 from rodjax.scenes.scene import Scene, projectors
@@ -97,6 +97,7 @@ class PaperScheme(eqx.Module):
 def check_scene(scene: Scene) -> None:
     """Raise ValueError where the scene has what this scheme does not support."""
     rod = scene.rod
+    check_linear(rod, "the paper's scheme")
     if rod.compliance is not None:
         raise ValueError(
             "compliance: the paper's scheme is for inextensible, unshearable rods; pass"

@@ -93,13 +93,15 @@ def vector_field(time: Float[Array, ""], motion: Motion, scene: Scene) -> Motion
 
 def internal_force(rod: Rod, motion: Motion) -> Float[Array, "n 3"]:
     """f of the elements of a rod in a motion, in their own frames [N]."""
-    stretch = strains(rod, motion.position, rotations.normalize(motion.quaternion)).stretch
-    return _force(rod, stretch)
+    time = jnp.zeros((), motion.position.dtype)
+    quaternion, rate = rotations.normalize(motion.quaternion), motion.rate
+    return _force(rod, NodeMotion(time, motion.position, quaternion, rate[:, :3], rate[:, 3:]))
 
 
-def _force(rod: Rod, stretch):
+def _force(rod: Rod, motion: NodeMotion):
     assert rod.compliance is not None  # checked in `initial_value`
-    return balance.constraint(rod, stretch, jnp.zeros_like(stretch)) / rod.compliance
+    kinematics = strains(rod, motion.position, motion.quaternion)
+    return balance.damped_strain(rod, kinematics, motion) / rod.compliance
 
 
 def _accelerations(scene: Scene, motion: NodeMotion, both, prescribed) -> Float[Array, "nodes 6"]:
@@ -107,8 +109,8 @@ def _accelerations(scene: Scene, motion: NodeMotion, both, prescribed) -> Float[
     rod = scene.rod
     mass, rotary = node_inertia(rod)
     assert rotary is not None  # checked in `initial_value`
-    force = _force(rod, strains(rod, motion.position, motion.quaternion).stretch)
-    inner = balance.internal(rod, motion.position, motion.quaternion, force)
+    force = _force(rod, motion)
+    inner = balance.internal(rod, motion, force)
     wrench = -jnp.concatenate([inner.force, inner.moment], 1)
     if scene.loads:
         wrench = wrench + total_wrench(scene.loads, rod, motion)

@@ -17,13 +17,25 @@ momentum follows from objectivity and f does no work. The tangent below is their
 hand, because differentiating the strains twice by machine costs fifty times as much here.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from rodjax.numerics import rotations
+from rodjax.rods import constitution
+from rodjax.rods.constitution import (
+    along_tangent,
+    middle_spin,
+    natural_curvature,
+    node_spins,
+    rotation_rate,
+    shortening,
+)
+from rodjax.rods.material import row_jacobian
 from rodjax.rods.rod import Rod
+from rodjax.rods.state import Moving, NodeMotion
 from rodjax.rods.strains import Strains, strains
 
 
@@ -32,7 +44,7 @@ class Internal(NamedTuple):
 
     force: Float[Array, "nodes 3"]  # inertial components [N]
     moment: Float[Array, "nodes 3"]  # body components [N m]
-    constraint: Float[Array, "n 3"]  # gamma - e3 - compliance f
+    constraint: Float[Array, "n 3"]  # gamma - e3 - compliance f, see `constraint`
 
 
 class ElementTangent(NamedTuple):
@@ -44,29 +56,78 @@ class ElementTangent(NamedTuple):
     moment_spin: Float[Array, "n 6 6"]
     moment_force: Float[Array, "n 6 3"]
     constraint_spin: Float[Array, "n 3 6"]
+    constraint_edge: Float[Array, "n 3 3"] | None = None  # by u_{i+1} - u_i; None: E^T / ds
 
 
-def internal_moment(rod: Rod, rotation: Float[Array, "n 3"]) -> Float[Array, "n 3"]:
-    """q = B (kappa - kappa0), Eq. (3) [N m]."""
-    return rod.stiffness * (rotation / rod.length[:, None] - rod.natural_curvature)
+def gap(stretch: Float[Array, "n 3"]) -> Float[Array, "n 3"]:
+    """gamma - e3."""
+    return stretch - jnp.asarray([[0.0, 0.0, 1.0]], stretch.dtype)
 
 
-def constraint(rod: Rod, stretch: Float[Array, "n 3"], force: Float[Array, "n 3"]):
-    """gamma - e3 - compliance f: zero for an admissible motion."""
-    gap = stretch - jnp.asarray([[0.0, 0.0, 1.0]], stretch.dtype)
-    return gap if rod.compliance is None else gap - rod.compliance * force
+def force_strain(rod: Rod, kinematics: Strains, motion: NodeMotion) -> Float[Array, "n 3"]:
+    """The strain g that f belongs to: gamma - e3, with b tau in a cable that shortens by twist."""
+    found = gap(kinematics.stretch)
+    turned = shortening(rod, kinematics.rotation, motion.time)
+    return found if turned is None else found + turned
+
+
+def constraint(
+    rod: Rod, kinematics: Strains, force: Float[Array, "n 3"], motion: NodeMotion
+) -> Float[Array, "n 3"]:
+    """g + T g' - compliance f, g the strain of `force_strain`: zero for an admissible motion."""
+    strain = damped_strain(rod, kinematics, motion)
+    return strain if rod.compliance is None else strain - rod.compliance * force
+
+
+def damped_strain(rod: Rod, kinematics: Strains, motion: NodeMotion) -> Float[Array, "n 3"]:
+    """g + T g', which is compliance f."""
+    strain, time = force_strain(rod, kinematics, motion), stretch_time(rod)
+    if time is None:
+        return strain
+    return strain + time * force_strain_rate(rod, kinematics, motion)
+
+
+def stretch_time(rod: Rod) -> Float[Array, "n 3"] | None:
+    """T of the elements where they are compliant [s]; None without damping of stretch."""
+    if rod.material is None or rod.compliance is None or rod.material.stretch_time is None:
+        return None
+    time = jnp.broadcast_to(rod.material.stretch_time, rod.length.shape)
+    return jnp.where(rod.compliance > 0, time[:, None], 0.0)
+
+
+def force_strain_rate(rod: Rod, kinematics: Strains, motion: NodeMotion) -> Float[Array, "n 3"]:
+    """g', zero in rigid motion [1/s]."""
+    edge = (motion.velocity[1:] - motion.velocity[:-1]) / rod.length[:, None]
+    spin = motion.angular_velocity
+    across = jnp.einsum("nji,nj->ni", kinematics.frame, edge)
+    return _strain_rate(
+        rod, kinematics.rotation, kinematics.stretch, across, spin[:-1], spin[1:], motion.time
+    )
+
+
+def _strain_rate(rod, rotation, stretch, across, first, second, time):
+    """g' of the edge's rate in the element frame and the spins of both nodes."""
+    found = across - rotations.cross(middle_spin(rotation, first, second), stretch)
+    if rod.torque_per_tension is None:
+        return found
+    twisting = rotation_rate(rotation, first, second)[:, 2] / rod.length
+    if rod.actuation is not None:
+        twisting = twisting - _rate_of(lambda t: natural_curvature(rod, t)[:, 2], time)
+    return found + along_tangent(rod.torque_per_tension * twisting)
+
+
+def _rate_of(function, time):
+    """Derivative of a function of time."""
+    return jax.jvp(function, (time,), (jnp.ones_like(time),))[1]
 
 
 def internal(
-    rod: Rod,
-    position: Float[Array, "nodes 3"],
-    quaternion: Float[Array, "nodes 4"],
-    force: Float[Array, "n 3"],
+    rod: Rod, motion: NodeMotion, force: Float[Array, "n 3"], memory: Any = None
 ) -> Internal:
-    """Internal nodal wrenches and the constraint of a configuration with internal force f."""
-    kinematics = strains(rod, position, quaternion)
+    """Internal nodal wrenches and the constraint of a motion with internal force f."""
+    kinematics = strains(rod, motion.position, motion.quaternion)
     phi = kinematics.rotation
-    q = internal_moment(rod, phi)
+    q = constitution.internal_moment(rod, phi, motion, memory)
     squared = jnp.sum(phi * phi, -1, keepdims=True)
     once = rotations.cross(phi, q)
     even = q + rotations.inverse_tangent_coefficient(squared) * rotations.cross(phi, once)
@@ -74,7 +135,7 @@ def internal(
     return Internal(
         force=constraining[:, :3],
         moment=constraining[:, 3:] + scatter(-even - 0.5 * once, even - 0.5 * once),
-        constraint=constraint(rod, kinematics.stretch, force),
+        constraint=constraint(rod, kinematics, force, motion),
     )
 
 
@@ -87,6 +148,12 @@ def constraint_wrench(
     w = rod.length[:, None] * rotations.cross(force, kinematics.stretch)
     half, turned = 0.5 * w, rotations.midframe_coefficient(squared) * rotations.cross(phi, w)
     spatial = jnp.einsum("nij,nj->ni", kinematics.frame, force)
+    if rod.torque_per_tension is not None:
+        q = along_tangent(rod.torque_per_tension * force[:, 2])
+        once = rotations.cross(phi, q)
+        even = q + rotations.inverse_tangent_coefficient(squared) * rotations.cross(phi, once)
+        first, second = half + turned - even - 0.5 * once, half - turned + even - 0.5 * once
+        return jnp.concatenate([scatter(-spatial, spatial), scatter(first, second)], 1)
     return jnp.concatenate([scatter(-spatial, spatial), scatter(half + turned, half - turned)], 1)
 
 
@@ -113,8 +180,8 @@ def constraint_tangent(rod: Rod, kinematics: Strains) -> ElementTangent:
 
     With a mass matrix on the nodes it makes the system for accelerations and for projections.
     """
-    _, spin = _kinematic_maps(kinematics)
-    constraint_spin = rotations.hat(kinematics.stretch) @ spin
+    a, spin = _kinematic_maps(kinematics)
+    constraint_spin = _constraint_spin(rod, kinematics, a, spin)
     zero = jnp.zeros((rod.elements, 6, 3), spin.dtype)
     return ElementTangent(
         frame=kinematics.frame,
@@ -126,17 +193,57 @@ def constraint_tangent(rod: Rod, kinematics: Strains) -> ElementTangent:
     )
 
 
+def _constraint_spin(rod: Rod, kinematics: Strains, a, spin) -> Float[Array, "n 3 6"]:
+    """Derivative of g by the spins of both nodes."""
+    found = rotations.hat(kinematics.stretch) @ spin
+    if rod.torque_per_tension is None:
+        return found
+    twist = jnp.concatenate([-jnp.swapaxes(a, 1, 2), a], 2)[:, 2]
+    return found.at[:, 2].add((rod.torque_per_tension / rod.length)[:, None] * twist)
+
+
+def _damped_constraint(
+    rod: Rod, kinematics: Strains, motion: NodeMotion, moving: Moving, spin, phi
+):
+    """Derivatives of T g' by the edge (n, 3, 3) and by the spins (n, 3, 6) in a step."""
+    time = stretch_time(rod)
+    assert time is not None
+    edge = (motion.velocity[1:] - motion.velocity[:-1]) / rod.length[:, None]
+    across = lambda v: jnp.einsum("nji,nj->ni", kinematics.frame, v)
+    act = lambda matrix, v: jnp.einsum("nij,nj->ni", matrix, v)
+
+    def rate(z):
+        moved, turned = across(z[:, :3]) / rod.length[:, None], act(spin, z[:, 3:])
+        rate = across(edge)
+        rate = rate + moving.by_velocity * moved + rotations.cross(rate, turned)
+        stretch = kinematics.stretch
+        stretch = stretch + moved + rotations.cross(stretch, turned)
+        rotation = kinematics.rotation + act(phi, z[:, 3:])
+        spins = node_spins(motion, moving, z[:, 3:])
+        return time * _strain_rate(rod, rotation, stretch, rate, *spins, motion.time)
+
+    found = row_jacobian(rate, jnp.zeros((rod.elements, 9), edge.dtype))
+    return found[:, :, :3], found[:, :, 3:]
+
+
 def element_tangent(
     rod: Rod,
-    position: Float[Array, "nodes 3"],
-    quaternion: Float[Array, "nodes 4"],
+    motion: NodeMotion,
     force: Float[Array, "n 3"],
+    moving: Moving | None = None,
+    memory: Any = None,
 ) -> ElementTangent:
-    """Exact derivative of `internal`, element by element."""
-    kinematics = strains(rod, position, quaternion)
+    """Exact derivative of `internal`, element by element.
+
+    Args:
+        moving: how rates follow increments; None at rest.
+    """
+    kinematics = strains(rod, motion.position, motion.quaternion)
     phi, gamma = kinematics.rotation, kinematics.stretch
     ds = rod.length[:, None, None]
-    q = internal_moment(rod, phi)
+    q = constitution.internal_moment(rod, phi, motion, memory)
+    if rod.torque_per_tension is not None:
+        q = q + along_tangent(rod.torque_per_tension * force[:, 2])
     w = rod.length[:, None] * rotations.cross(force, gamma)
     squared = jnp.sum(phi * phi, -1)[:, None, None]
     eye = jnp.eye(3, dtype=phi.dtype)[None]
@@ -159,21 +266,42 @@ def element_tangent(
     )
     # ... and of -hat(phi) q / 2, which enters both alike
     alike = 0.5 * hat(q)
-    bend = (rod.stiffness / rod.length[:, None])[:, None, :]
-    by_phi = jnp.concatenate(
-        [alike - opposite - a * bend, alike + opposite + transpose(a) * bend], 1
-    )
+    by_rate = None
+    if constitution.diagonal(rod):
+        bend = (rod.stiffness / rod.length[:, None])[:, None, :]
+        pushed = a * bend, transpose(a) * bend
+    else:
+        by_curvature, by_rate = constitution.moment_slopes(rod, phi, motion, memory)
+        bend = by_curvature / ds
+        pushed = a @ bend, transpose(a) @ bend
+    by_phi = jnp.concatenate([alike - opposite - pushed[0], alike + opposite + pushed[1]], 1)
     phi_spin = jnp.concatenate([-transpose(a), a], 2)
     force_skew = hat(force)
-    constraint_spin = hat(gamma) @ spin
+    constraint_spin = _constraint_spin(rod, kinematics, a, spin)
+    constraint_edge = None
+    moment_force = ds * transpose(constraint_spin)
     spin_transposed = transpose(spin)
+    moment_spin = by_phi @ phi_spin
+    if moving is not None and by_rate is not None:
+
+        def rate(z):
+            turned = phi + jnp.einsum("nij,nj->ni", phi_spin, z)
+            return rotation_rate(turned, *node_spins(motion, moving, z)) / rod.length[:, None]
+
+        rate_spin = row_jacobian(rate, jnp.zeros((rod.elements, 6), phi.dtype))
+        moment_spin = moment_spin + transpose(phi_spin) @ (by_rate @ rate_spin)
+    if moving is not None and stretch_time(rod) is not None:
+        slopes = _damped_constraint(rod, kinematics, motion, moving, spin, phi_spin)
+        constraint_edge = transpose(kinematics.frame) / ds + slopes[0]
+        constraint_spin = constraint_spin + slopes[1]
     return ElementTangent(
         frame=kinematics.frame,
         force_spin=-(kinematics.frame @ force_skew) @ spin,
         moment_edge=spin_transposed @ (force_skew @ transpose(kinematics.frame)),
         # ds N^T hat(f) hat(gamma) N, with hat(f) hat(gamma) = gamma f^T - f.gamma I
-        moment_spin=by_phi @ phi_spin
+        moment_spin=moment_spin
         + spin_transposed @ ((ds * (outer(gamma, force) - dot(gamma, force))) @ spin),
-        moment_force=ds * transpose(constraint_spin),
+        moment_force=moment_force,
         constraint_spin=constraint_spin,
+        constraint_edge=constraint_edge,
     )

@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Array
 
 from rodjax.inputs.argument_types import AnyArray, Number, Vector
+from rodjax.inputs.schedules import AbstractSchedule
 from rodjax.inputs.user_functions import called
 from rodjax.inputs.validation import (
     as_float,
@@ -30,12 +31,15 @@ from rodjax.rods.framing import (
 from rodjax.rods.rod import Rod
 from rodjax.rods.section import (
     COMPLIANCE,
+    COUPLING,
     CURVATURE,
     INERTIA,
     STIFFNESS,
     Section,
     Three,
+    as_matrices,
     components,
+    diagonal_and_coupling,
     sample,
 )
 
@@ -49,6 +53,7 @@ def straight_rod(
     first_director: Vector | None = None,
     origin: Vector = (0.0, 0.0, 0.0),
     natural_curvature: Three = (0.0, 0.0, 0.0),
+    actuation: AbstractSchedule | None = None,
     jumps: Sequence[Number] = (),
 ) -> Rod:
     """A rod placed straight along `direction`, its node s = 0 at `origin`.
@@ -66,6 +71,8 @@ def straight_rod(
             number, one value an element or a function of s, or all as an array (n, 3). A rod with
             kappa0 != 0 is straight in this placing but not at rest. (A uniform one does not start
             the buckling of a rod between two clamps: see `imperfect`.)
+        actuation: schedule of what is added to kappa0 in time, as tendons, pneumatics or swelling
+            do: three components, or a row an element (n, 3) [1/m].
         jumps: arc lengths at which properties jump [m]; they become nodes.
     """
     nodes = grid(length, elements, jumps)
@@ -73,7 +80,7 @@ def straight_rod(
     frame = first_frame(tangent, first_director)
     position = vector(origin, "origin")[None] + nodes[:, None] * tangent[None]
     quaternion = module_of(frame).broadcast_to(frame, (len(nodes), 4))
-    return build_rod(nodes, position, quaternion, section, natural_curvature)
+    return build_rod(nodes, position, quaternion, section, natural_curvature, actuation)
 
 
 def curved_rod(
@@ -84,6 +91,7 @@ def curved_rod(
     *,
     first_director: Vector | None = None,
     stress_free: bool = True,
+    actuation: AbstractSchedule | None = None,
     jumps: Sequence[Number] = (),
 ) -> Rod:
     """A rod placed along a space curve.
@@ -102,6 +110,7 @@ def curved_rod(
             without twist from it.
         stress_free: if true kappa0 is the curvature of this placing, so that it is at rest;
             otherwise kappa0 = 0 and the placing is a bent state of a straight rod.
+        actuation: see `straight_rod`.
         jumps: arc lengths at which properties jump [m]; they become nodes.
 
     The nodes are put at distances ds along the frames, R_{i+1} = R_i + ds a_3, so the discrete
@@ -152,7 +161,8 @@ def curved_rod(
     relative = rotations.multiply(rotations.conjugate(before), after)
     curvature = rotations.logarithm(relative) / ds[:, None]
     natural = curvature if stress_free else jnp.zeros_like(curvature)
-    return build_rod(nodes, position, quaternion, section, tuple(jnp.moveaxis(natural, 1, 0)))
+    natural = tuple(jnp.moveaxis(natural, 1, 0))
+    return build_rod(nodes, position, quaternion, section, natural, actuation)
 
 
 def build_rod(
@@ -161,6 +171,7 @@ def build_rod(
     quaternion: AnyArray,
     section: Section | Callable[[np.ndarray], Section],
     natural_curvature: Three,
+    actuation: AbstractSchedule | None = None,
 ) -> Rod:
     """A `Rod` from node arc lengths, a placing and a section; the other builders end here."""
     midpoints = 0.5 * (nodes[1:] + nodes[:-1])
@@ -170,14 +181,20 @@ def build_rod(
     check_instance(Section, "give a Section, or circular_section(...)", section=chosen)
     default = lambda a: jnp.asarray(a, jnp.result_type(float))
     one = lambda value, name: sample(value, midpoints, name)
-    ones = given(mass=chosen.mass, diameter=chosen.diameter, area=chosen.area)
+    single = ("mass", "diameter", "area", "torque_per_tension")
+    ones = given(**{name: getattr(chosen, name) for name in single})
+    stiffness, coupling = chosen.stiffness, chosen.coupling
+    matrices = as_matrices(stiffness)
+    if matrices is not None and (matrices.ndim == 3 or len(midpoints) != 3):
+        stiffness, coupling = diagonal_and_coupling(matrices, len(midpoints))
     triples = {
-        "stiffness": (chosen.stiffness, STIFFNESS),
+        "stiffness": (stiffness, STIFFNESS),
+        "coupling": (coupling, COUPLING),
         "natural_curvature": (natural_curvature, CURVATURE),
         "rotary_inertia": (chosen.rotary_inertia, INERTIA),
         "compliance": (chosen.compliance, COMPLIANCE),
     }
-    fields: dict[str, Any] = dict.fromkeys(("mass", "diameter", "area", *triples))
+    fields: dict[str, Any] = dict.fromkeys((*single, *triples))
     fields |= {name: one(value, name) for name, value in ones.items()}
     for name, (value, meaning) in triples.items():
         if value is not None or name in ("stiffness", "natural_curvature"):
@@ -186,5 +203,7 @@ def build_rod(
         position=default(position),
         quaternion=default(quaternion),
         length=default(nodes[1:] - nodes[:-1]),
+        material=chosen.material,
+        actuation=actuation,
         **fields,
     )

@@ -47,6 +47,11 @@ def regrid(state: State, rod: Rod, *, old: Rod | None = None) -> State:
     check_instance(Rod, "give the rod on its new grid", rod=rod)
     if state.position.ndim != 2:
         raise ValueError("state: give one state, such as `run.final` or `run.state(3)`")
+    if rod.torque_per_tension is not None:
+        raise ValueError(
+            "torque_per_tension: the stretch of such a cable follows its twist, which is not"
+            " carried over; start it anew on the other grid"
+        )
     if old is not None:
         check_instance(Rod, "give the rod that the state is of", old=old)
         if old.elements + 1 != state.position.shape[0]:

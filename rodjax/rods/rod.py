@@ -10,14 +10,19 @@ import warnings
 from typing import Any
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
 from rodjax.inputs.brief import named
+from rodjax.inputs.schedules import AbstractSchedule
+from rodjax.inputs.user_functions import returned
 from rodjax.inputs.validation import (
     as_float,
     as_float_or_none,
+    as_traced,
+    check_instance,
     check_numbers,
     known,
     shown,
@@ -26,6 +31,7 @@ from rodjax.numerics.results import ModelWarning
 from rodjax.rods.framing import (
     of_one_sign,
 )
+from rodjax.rods.material import AbstractMaterial, stiffness_matrix
 
 
 def _as_frames(value) -> Any:
@@ -41,6 +47,8 @@ def _as_frames(value) -> Any:
 
 class Rod(eqx.Module):
     """A rod of n elements; every leaf is an array, per element unless said otherwise.
+
+    What is None is absent: without coupling, material and actuation it is linear, with diagonal B.
 
     Made by `straight_rod` and `curved_rod`. Units are free but must be consistent; the ones in
     brackets are SI. Components of the body frame are in the order a_1, a_2 (across the rod), a_3
@@ -61,6 +69,12 @@ class Rod(eqx.Module):
             there is none. None is Kirchhoff's inextensible, unshearable rod.
         diameter: (n,) [m], needed by drag and contact only; or None.
         area: (n,), of the section [m^2], needed by buoyancy and added mass only; or None.
+        coupling: (n, 3), entries (1, 2), (1, 3), (2, 3) of the symmetric stiffness B, whose
+            diagonal is `stiffness` [N m^2]; or None.
+        torque_per_tension: (n,), b of a cable laid of strands: M3 = C tau + b N at the twist tau
+            and the tension N, and the stretch N/EA - b tau [m]; or None.
+        material: how elements resist, where not linearly; or None.
+        actuation: schedule of what is added to kappa0, three components or (n, 3) [1/m]; or None.
     """
 
     position: Float[Array, "nodes 3"] = eqx.field(converter=as_float)
@@ -73,6 +87,12 @@ class Rod(eqx.Module):
     compliance: Float[Array, "n 3"] | None = eqx.field(converter=as_float_or_none)
     diameter: Float[Array, " n"] | None = eqx.field(converter=as_float_or_none)
     area: Float[Array, " n"] | None = eqx.field(converter=as_float_or_none)
+    coupling: Float[Array, "n 3"] | None = eqx.field(converter=as_float_or_none, default=None)
+    torque_per_tension: Float[Array, " n"] | None = eqx.field(
+        converter=as_float_or_none, default=None
+    )
+    material: AbstractMaterial | None = eqx.field(converter=as_traced, default=None)
+    actuation: AbstractSchedule | None = None
 
     def __check_init__(self):
         check_numbers(length=self.length)
@@ -92,8 +112,11 @@ class Rod(eqx.Module):
             "compliance": (n, 3),
             "diameter": (n,),
             "area": (n,),
+            "coupling": (n, 3),
+            "torque_per_tension": (n,),
         }
-        optional = ("mass", "rotary_inertia", "compliance", "diameter", "area")
+        optional = ("mass", "rotary_inertia", "compliance", "diameter", "area", "coupling")
+        optional += ("torque_per_tension",)
         for name, shape in shapes.items():
             value = getattr(self, name)
             if value is None and name in optional:
@@ -116,6 +139,42 @@ class Rod(eqx.Module):
                 "rotary_inertia: a rod without mass has none; pass rotary_inertia=None"
             )
         self._check_slender()
+        self._check_positive_definite()
+        self._check_material()
+
+    def _check_positive_definite(self):
+        """With coupling; without it positive entries are enough."""
+        if self.coupling is None or not (known(self.coupling) and known(self.stiffness)):
+            return
+        with jax.ensure_compile_time_eval():
+            matrices = np.asarray(stiffness_matrix(self.stiffness, self.coupling))
+        least = np.linalg.eigvalsh(matrices)[:, 0]
+        if not np.all(least > 0):
+            i = int(np.argmin(least))
+            raise ValueError(
+                "stiffness: must be positive definite in every element, but with its coupling"
+                f" element {i} has the eigenvalue {least[i]:.3g}: it would bend by itself; lessen"
+                " the entries off the diagonal (each square below the product of its two diagonal"
+                " ones, at least)"
+            )
+
+    def _check_material(self):
+        if self.material is not None:
+            mend = "give a material such as KelvinVoigt(1e-3), or None for a linear rod"
+            check_instance(AbstractMaterial, mend, material=self.material)
+            self.material.check(self.stiffness, self.compliance, self.mass)
+        if self.actuation is None:
+            return
+        mend = "give a schedule of what is added to kappa0, as Smooth(times, values)"
+        check_instance(AbstractSchedule, mend, actuation=self.actuation)
+        time = jax.ShapeDtypeStruct((), jnp.result_type(float))
+        driven: Any = self.actuation
+        found = returned("actuation", driven, time).shape
+        if found not in ((3,), (self.elements, 3)):
+            raise ValueError(
+                "actuation: the schedule must give three components, about a_1, about a_2 and"
+                f" twist, or {(self.elements, 3)}, a row an element; got shape {found}"
+            )
 
     def _check_slender(self):
         if not (known(self.diameter) and known(self.length)):
@@ -165,6 +224,16 @@ class Rod(eqx.Module):
         half = 0.5 * weight * density
         zero = jnp.zeros_like(half[:1])
         return jnp.concatenate([half, zero]) + jnp.concatenate([zero, half])
+
+
+def check_linear(rod: Rod, method: str) -> None:
+    """Raise ValueError where a rod has more than a method for diagonal B takes in."""
+    for name in ("coupling", "torque_per_tension", "material", "actuation"):
+        if getattr(rod, name) is not None:
+            raise ValueError(
+                f"{name}: {method} is for linear rods without it; pass {name}=None, or use"
+                " rollout or adaptive_rollout"
+            )
 
 
 def _check_values(name, value):

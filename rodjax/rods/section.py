@@ -13,20 +13,27 @@ from rodjax.inputs.user_functions import called
 from rodjax.inputs.validation import (
     as_float,
     check_flag,
+    check_instance,
     check_numbers,
     check_positive,
     check_scalar,
     given,
+    known,
     made_array,
     shown,
 )
+from rodjax.rods.material import AbstractMaterial
 
 Property = Number | AnyArray | Callable[[np.ndarray], np.ndarray]
 Three = Sequence[Property | Sequence[Number | AnyArray]] | AnyArray
 """Three properties, or three components an element."""
 
 # what three components are, for messages
-STIFFNESS = "(A1, A2, C), bending about a_1 and a_2 and torsion; for a round rod (A, A, C)"
+STIFFNESS = (
+    "(A1, A2, C), bending about a_1 and a_2 and torsion; for a round rod (A, A, C);"
+    " or symmetric matrices (3, 3) or (elements, 3, 3)"
+)
+COUPLING = "entries (1, 2), (1, 3), (2, 3) of the symmetric stiffness; None for a diagonal one"
 CURVATURE = "(kappa_1, kappa_2, twist) in the body frame; for none (0, 0, 0)"
 INERTIA = "per length about a_1, a_2, a_3; None leaves it out"
 COMPLIANCE = "(1/GA1, 1/GA2, 1/EA), shear and stretch; None for a rod that does neither"
@@ -41,6 +48,7 @@ class Section(eqx.Module):
 
     Attributes:
         stiffness: (A1, A2, C): bending about a_1 and a_2 and torsion [N m^2]; EI_1, EI_2 and GJ.
+            Or the symmetric matrix B, (3, 3) or one an element (elements, 3, 3).
         mass: per length [kg/m]; None for a rod without inertia, which drag balances.
         rotary_inertia: (I1, I2, I3): moments of inertia per length about a_1, a_2, a_3 [kg m];
             None leaves rotary inertia out.
@@ -48,6 +56,13 @@ class Section(eqx.Module):
             factor where there is one [1/N]; None for a rod without shear and stretch.
         diameter: [m]; of drag and contact.
         area: of the section [m^2]; of buoyancy and added mass.
+        coupling: (B12, B13, B23): of both bendings, and of twist with bending about a_1 and about
+            a_2, if stiffness gives the diagonal alone [N m^2]; None for none.
+        torque_per_tension: b of a cable laid of strands [m]: a tension N twists it with b N, and a
+            twist tau shortens it by b tau, M3 = C tau + b N and stretch N/EA - b tau (with or
+            without compliance).
+        material: how elements resist, such as `KelvinVoigt` or an `AbstractMaterial` of your own;
+            None for a linear rod.
     """
 
     stiffness: Three
@@ -56,14 +71,54 @@ class Section(eqx.Module):
     compliance: Three | None = None
     diameter: Property | None = None
     area: Property | None = None
+    coupling: Three | None = None
+    torque_per_tension: Property | None = None
+    material: AbstractMaterial | None = None
 
     def __check_init__(self):
-        triples = given(rotary_inertia=self.rotary_inertia, compliance=self.compliance)
-        meanings = {"rotary_inertia": INERTIA, "compliance": COMPLIANCE}
-        check_components(STIFFNESS, stiffness=self.stiffness)
+        optional = ("rotary_inertia", "compliance", "coupling")
+        triples = given(**{name: getattr(self, name) for name in optional})
+        meanings = {"rotary_inertia": INERTIA, "compliance": COMPLIANCE, "coupling": COUPLING}
+        if as_matrices(self.stiffness) is None:
+            check_components(STIFFNESS, stiffness=self.stiffness)
+        elif self.coupling is not None:
+            raise ValueError("coupling: the matrix of the stiffness holds it already; give one")
         for name, value in triples.items():
             check_components(meanings[name], **{name: value})
-        check_property(**given(mass=self.mass, diameter=self.diameter, area=self.area))
+        names = ("mass", "diameter", "area", "torque_per_tension")
+        check_property(**given(**{name: getattr(self, name) for name in names}))
+        if self.material is not None:
+            mend = "give a material such as KelvinVoigt(1e-3), or None for a linear rod"
+            check_instance(AbstractMaterial, mend, material=self.material)
+
+
+def as_matrices(stiffness: Any) -> Any:
+    """The stiffness where it is given as matrices, (3, 3) or (n, 3, 3); None where it is not.
+
+    Rows of numbers that are not symmetric are three components of three elements.
+    """
+    nested = isinstance(stiffness, list | tuple) and any(
+        isinstance(row, list | tuple) or hasattr(row, "shape") for row in stiffness
+    )
+    if not (nested or hasattr(stiffness, "shape")):
+        return None
+    found = made_array(stiffness)
+    shape = getattr(found, "shape", ())
+    if shape[-2:] != (3, 3) or len(shape) > 3:
+        return None
+    symmetric = not known(found) or np.allclose(found, np.swapaxes(found, -1, -2), rtol=1e-9)
+    if len(shape) == 3 and not symmetric:
+        raise ValueError("stiffness: must be symmetric in every element (it has an energy)")
+    return found if symmetric else None
+
+
+def diagonal_and_coupling(matrices: Any, elements: int) -> tuple[Any, Any]:
+    """(n, 3) of the diagonal, and (n, 3) of the entries (1, 2), (1, 3), (2, 3)."""
+    shape = (elements, 3, 3)
+    if matrices.ndim == 3 and matrices.shape != shape:
+        raise ValueError(f"stiffness: expected {shape}, a matrix an element; got {matrices.shape}")
+    full = jnp.broadcast_to(jnp.asarray(as_float(matrices), jnp.result_type(float)), shape)
+    return jnp.diagonal(full, axis1=1, axis2=2), full[:, (0, 0, 1), (1, 2, 2)]
 
 
 def check_property(**properties) -> None:

@@ -89,6 +89,15 @@ def node_motion(state: State) -> NodeMotion:
     )
 
 
+class Moving(NamedTuple):
+    """Accelerations of the nodes, and how rates follow their increments in a step."""
+
+    acceleration: Float[Array, "nodes 6"]
+    turn: Float[Array, "nodes 3"]  # rotation vector; its increment for a spin d is J(turn)^-1 d
+    by_velocity: Float[Array, ""]  # [1/s]
+    by_acceleration: Float[Array, ""]  # [1/s^2]
+
+
 def at_rest(time, position, quaternion) -> NodeMotion:
     """Nodes without velocity."""
     zero = jnp.zeros_like(position)

@@ -25,6 +25,11 @@ _OFF = {"load": 1e-12, "drive": 1e-6}
 _ROUNDING = 4
 
 
+def _kind(name: str) -> str:
+    """What jumps: a load's or an actuation's value, or a drive's rate."""
+    return "load" if name.startswith(("loads", "rod.actuation")) else "drive"
+
+
 def corners_inside(scene: Scene, start: float, times: Float[np.ndarray, " k"]) -> dict[str, float]:
     """First time inside a step at which a load's value or a drive's rate jumps, by schedule.
 
@@ -35,7 +40,7 @@ def corners_inside(scene: Scene, start: float, times: Float[np.ndarray, " k"]) -
     eps = lambda v: np.finfo(v.dtype).eps if np.issubdtype(v.dtype, np.floating) else 0.0
     found = {}
     for name, schedule in scene.schedules:
-        kind = "load" if name.startswith("loads") else "drive"
+        kind = _kind(name)
         given = np.asarray(schedule.corners)
         corners = np.sort(given.astype(float))
         step = np.clip(np.searchsorted(ends, corners) - 1, 0, len(ends) - 2)
@@ -74,7 +79,7 @@ def _jumps(kind, schedule, corners, widths, span) -> Bool[np.ndarray, " c"]:
 def warn_of_corners(scene: Scene, start: float, times: Float[np.ndarray, " k"]) -> None:
     """ModelWarning where corners of schedules fall inside steps."""
     for name, corner in corners_inside(scene, start, times).items():
-        load = name.startswith("loads")
+        load = _kind(name) == "load"
         what = "load" if load else "drive's velocity"
         # after a jump of a load the scheme's accelerations need some steps to be right again
         mend = (

@@ -262,6 +262,8 @@ class Scene(eqx.Module):
         for name, _, end in self.holds:
             parts = {"displacement": end.displacement, "rotation": end.rotation}
             found += [(f"{name}.{part}", x) for part, x in parts.items() if x is not None]
+        if self.rod.actuation is not None:
+            found.append(("rod.actuation", self.rod.actuation))
         for i, load in enumerate(self.loads):
             found += [(f"loads[{i}].{part}", x) for part, x in load.schedules.items()]
         return found

@@ -1,0 +1,141 @@
+"""Materials: the moment of an element from its strain, and the energy that it stores.
+
+A rod without one is linear, q = B (kappa - kappa0), and traces nothing of this.
+"""
+
+import abc
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
+
+
+class ElementMotion(NamedTuple):
+    """What a material sees of all elements at once: a row each, components in the body frame.
+
+    Attributes:
+        arc_length: (n,), s of the element centres at rest [m].
+        stiffness: (n, 3), A1, A2, C of the rod's section [N m^2].
+        coupling: (n, 3), entries (1, 2), (1, 3), (2, 3) of the section's stiffness, or None.
+        curvature: (n, 3), kappa: about a_1, about a_2, and twist [1/m].
+        natural: (n, 3), kappa0 at this time, actuation included [1/m].
+        rate: (n, 3), of kappa in time, unchanged by rigid motion [1/(m s)].
+        time: [s].
+        memory: what the material said at the last accepted step; None where it has none.
+    """
+
+    arc_length: Float[Array, " n"]
+    stiffness: Float[Array, "n 3"]
+    coupling: Float[Array, "n 3"] | None
+    curvature: Float[Array, "n 3"]
+    natural: Float[Array, "n 3"]
+    rate: Float[Array, "n 3"]
+    time: Float[Array, ""]
+    memory: Any = None
+
+    @property
+    def bent(self) -> Float[Array, "n 3"]:
+        """kappa - kappa0 [1/m]."""
+        return self.curvature - self.natural
+
+    def linear(self, change: Float[Array, "n 3"]) -> Float[Array, "n 3"]:
+        """B times a change of curvature, with the section's stiffness [N m]."""
+        return linear_moment(self.stiffness, self.coupling, change)
+
+
+def linear_moment(
+    stiffness: Float[Array, "n 3"],
+    coupling: Float[Array, "n 3"] | None,
+    change: Float[Array, "n 3"],
+) -> Float[Array, "n 3"]:
+    """B times a change of curvature [N m]."""
+    moment = stiffness * change
+    if coupling is None:
+        return moment
+    b12, b13, b23 = coupling.T
+    one, two, three = change.T
+    mixed = b12 * two + b13 * three, b12 * one + b23 * three, b13 * one + b23 * two
+    return moment + jnp.stack(mixed, 1)
+
+
+def stiffness_matrix(
+    stiffness: Float[Array, "n 3"], coupling: Float[Array, "n 3"] | None
+) -> Float[Array, "n 3 3"]:
+    """B of every element [N m^2]."""
+    columns = jnp.eye(3, dtype=stiffness.dtype)
+    act = lambda column: linear_moment(
+        stiffness, coupling, jnp.broadcast_to(column, stiffness.shape)
+    )
+    return jax.vmap(act, out_axes=2)(columns)
+
+
+class AbstractMaterial(eqx.Module):
+    """How an element resists. Your own is a subclass: `moment`, and `energy` for the ledger.
+
+    Both are given all elements at once and must treat each by its own row (`ElementMotion`);
+    written with jax.numpy. The derivative is taken by jax unless `slopes` gives it.
+    """
+
+    @abc.abstractmethod
+    def moment(self, at: ElementMotion) -> Float[Array, "n 3"]:
+        """Internal moment about a_1, about a_2, and torque [N m]."""
+
+    def energy(self, at: ElementMotion) -> Float[Array, " n"] | Float[Array, "n 3"]:
+        """Energy stored per length [J/m]: one number an element, or shares of bending and torsion.
+
+        Its slope by the curvature is the moment, but for what motion adds, which is lost.
+        """
+        raise ValueError(f"{type(self).__name__}: the ledger needs energy(at) of the material")
+
+    @property
+    def viscous(self) -> bool:
+        """Whether the moment hangs on the strain rates. One that says no is given zero rates."""
+        return True
+
+    @property
+    def stretch_time(self) -> Float[Array, "*n"] | None:
+        """Retardation of stretch and shear where the rod is compliant, f = (g + T g')/compliance
+        with the strain g; None for none [s].
+        """
+        return None
+
+    def slopes(self, at: ElementMotion) -> tuple[Float[Array, "n 3 3"], Float[Array, "n 3 3"]]:
+        """Derivatives of the moment by curvature [N m^2] and by its rate [N m^2 s]."""
+        by_curvature = row_jacobian(lambda x: self.moment(at._replace(curvature=x)), at.curvature)
+        if not self.viscous:
+            return by_curvature, jnp.zeros_like(by_curvature)
+        by_rate = row_jacobian(lambda x: self.moment(at._replace(rate=x)), at.rate)
+        return by_curvature, by_rate
+
+    def check(
+        self,
+        stiffness: Float[Array, "n 3"],
+        compliance: Float[Array, "n 3"] | None,
+        mass: Float[Array, " n"] | None,
+    ) -> None:
+        """Raise ValueError where a rod of such a section cannot be made of it."""
+
+
+def row_jacobian(function, x: Float[Array, "n k"]) -> Float[Array, "n m k"]:
+    """Derivative of a function whose rows depend on the same rows of x only."""
+    push = lambda direction: jax.jvp(function, (x,), (jnp.broadcast_to(direction, x.shape),))[1]
+    return jax.vmap(push, out_axes=2)(jnp.eye(x.shape[1], dtype=x.dtype))
+
+
+def mixes_rows(material: AbstractMaterial, at: ElementMotion) -> Bool[Array, ""]:
+    """Whether `slopes` is not the derivative of `moment`, as where a row hangs on another's."""
+    wave = jnp.cos(1.0 + jnp.arange(at.curvature.size, dtype=at.curvature.dtype))
+    direction = wave.reshape(at.curvature.shape)
+    ahead = lambda x, y: material.moment(at._replace(curvature=x, rate=y))
+    still = jnp.zeros_like(direction)
+    rate = direction if material.viscous else still
+    found = jax.jvp(ahead, (at.curvature, at.rate), (direction, rate))[1]
+    by_curvature, by_rate = material.slopes(at)
+    expected = jnp.einsum("nij,nj->ni", by_curvature, direction)
+    expected = expected + jnp.einsum("nij,nj->ni", by_rate, rate)
+    rounding = jnp.sqrt(jnp.finfo(direction.dtype).eps)
+    return jnp.max(jnp.abs(found - expected)) > rounding * jnp.max(
+        jnp.abs(found) + jnp.abs(expected)
+    )
