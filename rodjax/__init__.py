@@ -69,6 +69,7 @@ from rodjax.numerics.results import Result as Result
 from rodjax.numerics.results import SimulationError as SimulationError
 from rodjax.rods.builders import curved_rod as curved_rod
 from rodjax.rods.builders import straight_rod as straight_rod
+from rodjax.rods.elastic_plastic import ElasticPlastic as ElasticPlastic
 from rodjax.rods.imperfection import imperfect as imperfect
 from rodjax.rods.kelvin_voigt import KelvinVoigt as KelvinVoigt
 from rodjax.rods.linear_material import LinearMaterial as LinearMaterial
@@ -160,6 +161,7 @@ __all__ = [
     "DampedInversePower",
     "DebyeHueckel",
     "DistributedLoad",
+    "ElasticPlastic",
     "Fit",
     "FitError",
     "FitResult",

@@ -132,6 +132,7 @@ def constrained(
 
 def admissible(scene: Scene, state: State) -> Admissible:
     """The motions that the constraint allows at a state, and the tangent on them."""
+    scene = scene.recalling(state.memory)
     basis = allowed(scene.rod, state.position, state.quaternion)
     motion = at_rest(state.time, state.position, state.quaternion)
     units, energy = _units(scene)[None], mean_bending(scene) / jnp.sum(scene.rod.length)

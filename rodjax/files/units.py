@@ -58,6 +58,8 @@ _TEMPLATES = {
     "Rod.coupling": "{force} {length}^2",
     "Rod.torque_per_tension": "{length}",
     "Rod.actuation": "rad/{length}",
+    "ElasticPlastic.yield_moment": "{force} {length}",
+    "ElasticPlastic.hardening": "{force} {length}^2",
     "KelvinVoigt.bending": "{time}",
     "KelvinVoigt.torsion": "{time}",
     "KelvinVoigt.stretch": "{time}",

@@ -8,7 +8,7 @@ from rodjax.interactions.roles import Role
 from rodjax.numerics import rotations
 from rodjax.numerics.compilation import compiled
 from rodjax.rods import balance, inertia
-from rodjax.rods.constitution import moment_energy_density
+from rodjax.rods.constitution import in_state, moment_energy_density
 from rodjax.rods.rod import Rod
 from rodjax.rods.state import State, node_motion
 from rodjax.rods.strains import relative_rotation, strains
@@ -17,6 +17,7 @@ from rodjax.scenes.scene import Found, Scene
 
 def _moment_energy_density(rod: Rod, state: State) -> Float[Array, "n 3"]:
     """The three terms of Eq. (4), or what the rod's material stores."""
+    rod = in_state(rod, state)
     rotation = rotations.logarithm(relative_rotation(state.quaternion))
     return moment_energy_density(rod, rotation, node_motion(state))
 

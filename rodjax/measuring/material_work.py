@@ -3,21 +3,16 @@
 import dataclasses
 from typing import NamedTuple
 
-import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from rodjax.measuring.energies import strain_energy
-from rodjax.numerics import rotations
 from rodjax.rods import balance
-from rodjax.rods.constitution import (
-    internal_moment,
-    moment_energy_density,
-    natural_curvature,
-)
+from rodjax.rods.constitution import natural_curvature, seen_by_material
+from rodjax.rods.material import ElementMotion
 from rodjax.rods.rod import Rod
 from rodjax.rods.state import State, node_motion
-from rodjax.rods.strains import relative_rotation, strains
+from rodjax.rods.strains import strains
 
 
 class MaterialWork(NamedTuple):
@@ -58,8 +53,8 @@ def _lost(rod: Rod, before: State, after: State) -> Float[Array, ""]:
     """The work of what the stored energy does not account for."""
     if rod.material is None:
         return jnp.zeros_like(before.time)
-    turned = _rotation(after) - _rotation(before)
-    lost = 0.5 * jnp.sum((_lost_moment(rod, before) + _lost_moment(rod, after)) * turned)
+    material = rod.material.forgetting
+    lost = jnp.sum(rod.length * material.lost(_seen(rod, before), _seen(rod, after)))
     if balance.stretch_time(rod) is None:
         return lost
     gained = _force_strain(rod, after) - _force_strain(rod, before)
@@ -67,15 +62,10 @@ def _lost(rod: Rod, before: State, after: State) -> Float[Array, ""]:
     return lost + 0.5 * jnp.sum(rod.length[:, None] * both * gained)
 
 
-def _rotation(state: State) -> Float[Array, "n 3"]:
-    return rotations.logarithm(relative_rotation(state.quaternion))
-
-
-def _lost_moment(rod: Rod, state: State) -> Float[Array, "n 3"]:
-    """The moment less the slope of the energy [N m]."""
-    rotation, motion = _rotation(state), node_motion(state)
-    energy = lambda phi: jnp.sum(rod.length[:, None] * moment_energy_density(rod, phi, motion))
-    return internal_moment(rod, rotation, motion) - jax.grad(energy)(rotation)
+def _seen(rod: Rod, state: State) -> ElementMotion:
+    """What the material sees of a state, with what it remembers there."""
+    memory = None if state.memory is None else state.memory.material
+    return seen_by_material(rod, node_motion(state))._replace(memory=memory)
 
 
 def _force_strain(rod: Rod, state: State) -> Float[Array, "n 3"]:

@@ -17,7 +17,7 @@ momentum follows from objectivity and f does no work. The tangent below is their
 hand, because differentiating the strains twice by machine costs fifty times as much here.
 """
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -121,13 +121,11 @@ def _rate_of(function, time):
     return jax.jvp(function, (time,), (jnp.ones_like(time),))[1]
 
 
-def internal(
-    rod: Rod, motion: NodeMotion, force: Float[Array, "n 3"], memory: Any = None
-) -> Internal:
+def internal(rod: Rod, motion: NodeMotion, force: Float[Array, "n 3"]) -> Internal:
     """Internal nodal wrenches and the constraint of a motion with internal force f."""
     kinematics = strains(rod, motion.position, motion.quaternion)
     phi = kinematics.rotation
-    q = constitution.internal_moment(rod, phi, motion, memory)
+    q = constitution.internal_moment(rod, phi, motion)
     squared = jnp.sum(phi * phi, -1, keepdims=True)
     once = rotations.cross(phi, q)
     even = q + rotations.inverse_tangent_coefficient(squared) * rotations.cross(phi, once)
@@ -231,7 +229,6 @@ def element_tangent(
     motion: NodeMotion,
     force: Float[Array, "n 3"],
     moving: Moving | None = None,
-    memory: Any = None,
 ) -> ElementTangent:
     """Exact derivative of `internal`, element by element.
 
@@ -241,7 +238,7 @@ def element_tangent(
     kinematics = strains(rod, motion.position, motion.quaternion)
     phi, gamma = kinematics.rotation, kinematics.stretch
     ds = rod.length[:, None, None]
-    q = constitution.internal_moment(rod, phi, motion, memory)
+    q = constitution.internal_moment(rod, phi, motion)
     if rod.torque_per_tension is not None:
         q = q + along_tangent(rod.torque_per_tension * force[:, 2])
     w = rod.length[:, None] * rotations.cross(force, gamma)
@@ -271,7 +268,7 @@ def element_tangent(
         bend = (rod.stiffness / rod.length[:, None])[:, None, :]
         pushed = a * bend, transpose(a) * bend
     else:
-        by_curvature, by_rate = constitution.moment_slopes(rod, phi, motion, memory)
+        by_curvature, by_rate = constitution.moment_slopes(rod, phi, motion)
         bend = by_curvature / ds
         pushed = a @ bend, transpose(a) @ bend
     by_phi = jnp.concatenate([alike - opposite - pushed[0], alike + opposite + pushed[1]], 1)

@@ -6,13 +6,15 @@ rest.
 
 from typing import Any
 
+import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from rodjax.numerics import rotations
-from rodjax.rods.material import ElementMotion, linear_moment, stiffness_matrix
+from rodjax.rods.material import ElementMotion, Recalled, linear_moment, stiffness_matrix
 from rodjax.rods.rod import Rod
-from rodjax.rods.state import Moving, NodeMotion
+from rodjax.rods.state import Moving, NodeMotion, State
+from rodjax.rods.strains import relative_rotation
 
 
 def natural_curvature(rod: Rod, time: Float[Array, ""]) -> Float[Array, "n 3"]:
@@ -46,9 +48,7 @@ def middle_spin(
     return 0.5 * (first + second) + rotations.midframe_coefficient(squared) * turned
 
 
-def element_motion(
-    rod: Rod, rotation: Float[Array, "n 3"], motion: NodeMotion, memory: Any = None
-) -> ElementMotion:
+def element_motion(rod: Rod, rotation: Float[Array, "n 3"], motion: NodeMotion) -> ElementMotion:
     """What the rod's material sees of a motion."""
     assert rod.material is not None
     rate = jnp.zeros_like(rotation)
@@ -63,27 +63,44 @@ def element_motion(
         natural_curvature(rod, motion.time),
         rate,
         motion.time,
-        memory,
     )
 
 
+def seen_by_material(rod: Rod, motion: NodeMotion) -> ElementMotion:
+    """`element_motion` of a motion."""
+    rotation = rotations.logarithm(relative_rotation(motion.quaternion))
+    return element_motion(rod, rotation, motion)
+
+
+def recalled(rod: Rod, memory: Any) -> Rod:
+    """The rod whose material knows what it remembers; as it is for None."""
+    if memory is None or rod.material is None:
+        return rod
+    return eqx.tree_at(lambda rod: rod.material, rod, Recalled.of(rod.material, memory))
+
+
+def in_state(rod: Rod, state: State) -> Rod:
+    """The rod that knows what a state remembers of it."""
+    return rod if state.memory is None else recalled(rod, state.memory.material)
+
+
 def internal_moment(
-    rod: Rod, rotation: Float[Array, "n 3"], motion: NodeMotion, memory: Any = None
+    rod: Rod, rotation: Float[Array, "n 3"], motion: NodeMotion
 ) -> Float[Array, "n 3"]:
     """q = B (kappa - kappa0), Eq. (3), or what the rod's material says [N m]."""
     if rod.material is not None:
-        return rod.material.moment(element_motion(rod, rotation, motion, memory))
+        return rod.material.moment(element_motion(rod, rotation, motion))
     change = rotation / rod.length[:, None] - natural_curvature(rod, motion.time)
     return linear_moment(rod.stiffness, rod.coupling, change)
 
 
 def moment_slopes(
-    rod: Rod, rotation: Float[Array, "n 3"], motion: NodeMotion, memory: Any = None
+    rod: Rod, rotation: Float[Array, "n 3"], motion: NodeMotion
 ) -> tuple[Float[Array, "n 3 3"], Float[Array, "n 3 3"] | None]:
     """Derivatives of q by the curvature, and by its rate where a material is viscous."""
     if rod.material is None:
         return stiffness_matrix(rod.stiffness, rod.coupling), None
-    by_curvature, by_rate = rod.material.slopes(element_motion(rod, rotation, motion, memory))
+    by_curvature, by_rate = rod.material.slopes(element_motion(rod, rotation, motion))
     return by_curvature, by_rate if rod.material.viscous else None
 
 
@@ -117,14 +134,14 @@ def node_spins(
 
 
 def moment_energy_density(
-    rod: Rod, rotation: Float[Array, "n 3"], motion: NodeMotion, memory: Any = None
+    rod: Rod, rotation: Float[Array, "n 3"], motion: NodeMotion
 ) -> Float[Array, "n 3"]:
     """The terms of Eq. (4) in bending about a_1 and a_2 and in torsion; what couples them halved.
 
     What a material does not share out counts as bending.
     """
     if rod.material is not None:
-        density = rod.material.energy(element_motion(rod, rotation, motion, memory))
+        density = rod.material.energy(element_motion(rod, rotation, motion))
         if density.ndim == 2:
             return density
         zero = jnp.zeros_like(density)

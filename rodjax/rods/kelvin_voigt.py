@@ -65,8 +65,23 @@ class KelvinVoigt(AbstractMaterial):
         eye = jnp.eye(3, dtype=by_rate.dtype)[None]
         return by_curvature, by_rate + self._retarded(at)[:, :, None] * eye
 
-    def check(self, stiffness, compliance, mass):
-        self.elastic.check(stiffness, compliance, mass)
+    @property
+    def remembers(self):
+        return self.elastic.remembers
+
+    def first_memory(self, at):
+        return self.elastic.first_memory(at)
+
+    def next_memory(self, at):
+        return self.elastic.next_memory(at)
+
+    def lost(self, before, after):
+        mean = 0.5 * (self._retarded(before) * before.rate + self._retarded(after) * after.rate)
+        damped = jnp.sum(mean * (after.curvature - before.curvature), 1)
+        return self.elastic.lost(before, after) + damped
+
+    def check(self, stiffness, coupling, compliance, mass):
+        self.elastic.check(stiffness, coupling, compliance, mass)
         if mass is None:
             raise ValueError(
                 "material: a rod with mass=None cannot be of KelvinVoigt: its rates follow from its"

@@ -23,7 +23,8 @@ class ElementMotion(NamedTuple):
         natural: (n, 3), kappa0 at this time, actuation included [1/m].
         rate: (n, 3), of kappa in time, unchanged by rigid motion [1/(m s)].
         time: [s].
-        memory: what the material said at the last accepted step; None where it has none.
+        memory: what the material remembers of the last accepted step; None where it forgets, or
+            for a look at it without a past.
     """
 
     arc_length: Float[Array, " n"]
@@ -109,13 +110,96 @@ class AbstractMaterial(eqx.Module):
         by_rate = row_jacobian(lambda x: self.moment(at._replace(rate=x)), at.rate)
         return by_curvature, by_rate
 
+    @property
+    def forgetting(self) -> "AbstractMaterial":
+        """It without what it remembers."""
+        return self
+
+    @property
+    def remembers(self) -> bool:
+        """Whether what it exerts hangs on the motion before, see `ElementMotion.memory`."""
+        return False
+
+    def first_memory(self, at: ElementMotion) -> Any:
+        """What it remembers at a start, a pytree of arrays with a row an element."""
+        return None
+
+    def next_memory(self, at: ElementMotion) -> Any:
+        """What it remembers after an accepted step to this motion, of the same kind.
+
+        `at.memory` is that before the step. The moment there must be the same with either.
+        Derivatives pass through it.
+        """
+        return None
+
+    def lost(self, before: ElementMotion, after: ElementMotion) -> Float[Array, " n"]:
+        """Energy lost per length between two saved states [J/m].
+
+        Here the work of what is no slope of the energy; each state with its own memory.
+        """
+        both = excess(self, before) + excess(self, after)
+        return 0.5 * jnp.sum(both * (after.curvature - before.curvature), 1)
+
     def check(
         self,
         stiffness: Float[Array, "n 3"],
+        coupling: Float[Array, "n 3"] | None,
         compliance: Float[Array, "n 3"] | None,
         mass: Float[Array, " n"] | None,
     ) -> None:
         """Raise ValueError where a rod of such a section cannot be made of it."""
+
+
+def excess(material: AbstractMaterial, at: ElementMotion) -> Float[Array, "n 3"]:
+    """The moment less the slope of the energy [N m]."""
+    energy = lambda x: jnp.sum(material.energy(at._replace(curvature=x)))
+    return material.moment(at) - jax.grad(energy)(at.curvature)
+
+
+class Recalled(AbstractMaterial):
+    """A material that knows what it remembers, held while Newton's method iterates."""
+
+    material: AbstractMaterial
+    memory: Any
+
+    @classmethod
+    def of(cls, material: AbstractMaterial, memory: Any) -> "Recalled":
+        """The material with this memory, whatever it knew before."""
+        return cls(material.forgetting, memory)
+
+    @property
+    def forgetting(self):
+        return self.material
+
+    def _with(self, at):
+        return at._replace(memory=self.memory)
+
+    def moment(self, at):
+        return self.material.moment(self._with(at))
+
+    def energy(self, at):
+        return self.material.energy(self._with(at))
+
+    @property
+    def viscous(self):
+        return self.material.viscous
+
+    @property
+    def stretch_time(self):
+        return self.material.stretch_time
+
+    def slopes(self, at):
+        return self.material.slopes(self._with(at))
+
+    @property
+    def remembers(self):
+        return True
+
+    def first_memory(self, at):
+        return self.material.first_memory(at)
+
+    def next_memory(self, at):
+        return self.material.next_memory(self._with(at))
 
 
 def row_jacobian(function, x: Float[Array, "n k"]) -> Float[Array, "n m k"]:

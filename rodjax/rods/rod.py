@@ -162,7 +162,7 @@ class Rod(eqx.Module):
         if self.material is not None:
             mend = "give a material such as KelvinVoigt(1e-3), or None for a linear rod"
             check_instance(AbstractMaterial, mend, material=self.material)
-            self.material.check(self.stiffness, self.compliance, self.mass)
+            self.material.check(self.stiffness, self.coupling, self.compliance, self.mass)
         if self.actuation is None:
             return
         mend = "give a schedule of what is added to kappa0, as Smooth(times, values)"

@@ -17,6 +17,7 @@ from rodjax.interactions.contact import Contact
 from rodjax.interactions.interaction import AbstractInteraction
 from rodjax.interactions.load import AbstractLoad
 from rodjax.interactions.self_contact import FoundContact, SelfContact
+from rodjax.rods.constitution import recalled, seen_by_material
 from rodjax.rods.rod import Rod
 from rodjax.rods.state import Memory, NodeMotion, State, node_motion
 from rodjax.scenes import probing
@@ -171,19 +172,29 @@ class Scene(eqx.Module):
     @property
     def remembers(self) -> bool:
         """Whether anything of it remembers the motion before, see `State.memory`."""
-        return any(load.remembers for load in self.loads)
+        return any(load.remembers for load in self.loads) or self._material_remembers
+
+    @property
+    def _material_remembers(self) -> bool:
+        return self.rod.material is not None and self.rod.material.remembers
 
     def first_memory(self, motion: NodeMotion) -> Memory | None:
         """What is remembered at a start; None where nothing is."""
         if not self.remembers:
             return None
-        return Memory(tuple(load.first_memory(self.rod, motion) for load in self.loads))
+        loads, own = tuple(load.first_memory(self.rod, motion) for load in self.loads), None
+        if self._material_remembers and self.rod.material is not None:
+            own = self.rod.material.first_memory(seen_by_material(self.rod, motion))
+        return Memory(loads, own)
 
     def next_memory(self, motion: NodeMotion) -> Memory | None:
         """What is remembered after an accepted step, asked of `recalling` the step's start."""
         if not self.remembers:
             return None
-        return Memory(tuple(load.next_memory(self.rod, motion) for load in self.loads))
+        loads, own = tuple(load.next_memory(self.rod, motion) for load in self.loads), None
+        if self._material_remembers and self.rod.material is not None:
+            own = self.rod.material.next_memory(seen_by_material(self.rod, motion))
+        return Memory(loads, own)
 
     def remembering(self, state: State) -> State:
         """The state with the memory that a run of the scene needs, begun anew where it has none.
@@ -210,7 +221,11 @@ class Scene(eqx.Module):
             return self
         pairs = zip(self.loads, memory.loads, strict=True)
         loads = tuple(load.recalling(its) for load, its in pairs)
-        return eqx.tree_at(lambda scene: scene.loads, self, loads)
+        scene = eqx.tree_at(lambda scene: scene.loads, self, loads)
+        if memory.material is None:
+            return scene
+        rod = recalled(self.rod, memory.material)
+        return eqx.tree_at(lambda scene: scene.rod, scene, rod)
 
     @jax.named_scope("find")
     def find(
