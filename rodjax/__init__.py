@@ -52,6 +52,7 @@ from rodjax.interactions.contact_laws import DebyeHueckel as DebyeHueckel
 from rodjax.interactions.contact_laws import InversePower as InversePower
 from rodjax.interactions.contact_laws import LennardJones as LennardJones
 from rodjax.interactions.contact_laws import Penalty as Penalty
+from rodjax.interactions.hard_magnetic import HardMagnetic as HardMagnetic
 from rodjax.interactions.load import AbstractLoad as AbstractLoad
 from rodjax.interactions.loads import DistributedLoad as DistributedLoad
 from rodjax.interactions.loads import Gravity as Gravity
@@ -170,6 +171,7 @@ __all__ = [
     "Function",
     "GeneralizedAlpha",
     "Gravity",
+    "HardMagnetic",
     "Huber",
     "Interrupted",
     "Interval",
