@@ -70,6 +70,7 @@ from rodjax.numerics.results import Result as Result
 from rodjax.numerics.results import SimulationError as SimulationError
 from rodjax.rods.builders import curved_rod as curved_rod
 from rodjax.rods.builders import straight_rod as straight_rod
+from rodjax.rods.chain import states_of as states_of
 from rodjax.rods.elastic_plastic import ElasticPlastic as ElasticPlastic
 from rodjax.rods.imperfection import imperfect as imperfect
 from rodjax.rods.kelvin_voigt import KelvinVoigt as KelvinVoigt
@@ -231,6 +232,7 @@ __all__ = [
     "several_starts",
     "stability",
     "start",
+    "states_of",
     "step",
     "storage",
     "straight_rod",

@@ -7,7 +7,7 @@ import pytest
 from helpers import UNIT_SECTION, random_arrays, random_configuration, relative_difference
 
 from rodjax.constraints.ends import Clamped, Free, Pinned, Slider
-from rodjax.equations.anchored import AnchoredSystem
+from rodjax.equations.anchored import Anchor, AnchoredSystem
 from rodjax.equations.assembly import Scales, assemble
 from rodjax.equations.coupled import CoupledSystem
 from rodjax.rods.balance import element_tangent
@@ -38,7 +38,7 @@ def solutions(first, last, bent, b):
     node = jnp.zeros((ELEMENTS + 1, 6, 6))
     built = lambda *held: CoupledSystem(assemble(rod, tangent, node, *held, scales))
     held = jnp.stack([first, last]), (0, ELEMENTS)
-    system = AnchoredSystem(built(held[0][:0], ()), *held, clamped=False)
+    system = AnchoredSystem(built(held[0][:0], ()), *held, (Anchor(0, clamped=False),))
     columns = jnp.eye(b.size).reshape(b.size, *b.shape)
     matrix = lambda system: jax.vmap(system.multiply)(columns).reshape(b.size, b.size).T
     solved = system.solve(b).ravel(), system.solve_transpose(b).ravel()

@@ -108,6 +108,11 @@ class AbstractEnd(eqx.Module):
         return False if self.displacement is not None else self._holds(3)
 
     @property
+    def nothing(self) -> bool:
+        """Whether its kind says that it never holds anything."""
+        return False
+
+    @property
     def clamped(self) -> bool:
         """Whether its kind says that it always holds node and frame, if perhaps moved by drives."""
         return self._holds(6) is True
@@ -166,6 +171,10 @@ class Free(AbstractEnd):
     def __check_init__(self):
         what = "a free end is not moved (a clamped or pinned one is)"
         _check_absent(what, displacement=self.displacement, rotation=self.rotation)
+
+    @property
+    def nothing(self):
+        return True
 
     def projector(self, time):
         return jnp.zeros((6, 6))

@@ -1,11 +1,12 @@
-"""What holds a rod between its ends: at any node, as an end would."""
+"""What holds a rod between its ends, or one of several at any node: as an end would."""
 
 import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Int
 
 from rodjax.constraints.ends import AbstractEnd, check_end
-from rodjax.inputs.validation import as_node, check_node, known
+from rodjax.inputs.validation import as_node, check_integer, check_node, known
+from rodjax.rods.rod import Part
 
 
 class Support(eqx.Module):
@@ -21,18 +22,22 @@ class Support(eqx.Module):
             node, which is an end's). One that the rod lacks is refused by the scene, and gives
             NaN where it is traced.
         end: what it takes away, and how it moves.
+        rod: which of the rods of the scene it holds, from 0.
     """
 
     node: Int[Array, ""] = eqx.field(converter=as_node)
     end: AbstractEnd
+    rod: int = eqx.field(static=True, default=0)
 
     def __check_init__(self):
+        check_integer(0, 10_000, rod=self.rod)
         check_node(self.node)
         check_end(end=self.end)
 
-    def place(self, elements: int) -> int | Int[Array, ""]:
-        """The node counted from s = 0, of a rod with so many elements; a number where known."""
+    def place(self, part: Part) -> int | Int[Array, ""]:
+        """The node among those of the scene, of a rod that stands there; a number where known."""
         if known(self.node):
             node = int(self.node)
-            return node + elements + 1 if node < 0 else node
-        return jnp.where(self.node < 0, self.node + elements + 1, self.node)
+            return node + (part.last + 1 if node < 0 else part.first)
+        counted = self.node + part.first if part.first else self.node
+        return jnp.where(self.node < 0, self.node + part.last + 1, counted)

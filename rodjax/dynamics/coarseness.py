@@ -21,9 +21,14 @@ class Turns(NamedTuple):
     twist: float
 
 
-def largest_turns(quaternion: Float[np.ndarray, "*k nodes 4"]) -> Turns:
-    """Largest parts of the elements' rotation vectors across the tangent and along it."""
-    turns = turns_of_elements(quaternion)
+def largest_turns(
+    quaternion: Float[np.ndarray, "*k nodes 4"], breaks: tuple[int, ...] = ()
+) -> Turns:
+    """Largest parts of the elements' rotation vectors across the tangent and along it.
+
+    Those of `breaks`, between rods, are no elements.
+    """
+    turns = np.delete(turns_of_elements(quaternion), list(breaks), -2)
     bend = np.max(np.linalg.norm(turns[..., :2], axis=-1))
     return Turns(float(bend), float(np.max(np.abs(turns[..., 2]))))
 
@@ -45,7 +50,7 @@ def turns_of_elements(quaternion: Float[np.ndarray, "*k nodes 4"]) -> Float[np.n
 
 def warn_if_hopeless(run: Run) -> None:
     """ModelWarning where elements bend by more than `HOPELESS` (outside traced code)."""
-    bend = largest_turns(np.asarray(run.states.quaternion)).bend
+    bend = largest_turns(np.asarray(run.states.quaternion), run.states.breaks).bend
     if bend > HOPELESS:
         warnings.warn(
             f"an element bends by {bend:.2g} rad, which the grid does not resolve: use"

@@ -90,6 +90,7 @@ def start(
         jnp.zeros((nodes, 6), dtype),
         jnp.zeros((nodes, 6), dtype),
         jnp.zeros((rod.elements, 3), dtype),
+        breaks=rod.breaks,
     )
     state = scene.remembering(state)
     start_checks.check_held_once(scene, state)

@@ -58,10 +58,11 @@ def unexplained(scene: Scene, before: State, after: State) -> Float[Array, ""]:
 def passed_unseen(scene: Scene, before: State, after: State) -> bool:
     """Whether Lk changed otherwise than by the drives between two states (not in traced code).
 
-    It says no without contact and where Lk is not prescribed, see `unexplained`. A rod that swings
-    across the line beyond one of its ends, where its support would be, counts as passed too.
+    It says no without contact, of several rods, and where Lk is not prescribed, see `unexplained`.
+    A rod that swings across the line beyond one of its ends, where its support would be, counts as
+    passed too.
     """
-    if scene.contact is None:
+    if scene.contact is None or scene.rod.breaks:
         return False
     return abs(float(unexplained(scene, before, after))) > _ALLOWED
 

@@ -48,7 +48,9 @@ def _unresolved(xp, rod, states, infos, steps):
     motion = squares(infos.growth_position) + squares(visible)
     too_long = squares(infos.error_position) > COARSE**2 * motion
     noise = xp.finfo(length.dtype).eps * length / xp.min(steps)
-    elastic = xp.sqrt(xp.mean(rod.stiffness[:, :2]) / xp.mean(rod.mass)) / length
+    elastic = (
+        xp.sqrt(xp.mean(rod.solid(rod.stiffness)[:, :2]) / xp.mean(rod.solid(rod.mass))) / length
+    )
     fastest = xp.sqrt(xp.max(xp.sum(states.rate[..., :3] ** 2, -1)))
     too_short = (noise > NOISE[0] * elastic) & (noise > NOISE[1] * fastest)
     return too_long | too_short

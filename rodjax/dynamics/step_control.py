@@ -11,7 +11,7 @@ from rodjax.inputs.validation import as_float, check_positive, check_scalar, giv
 from rodjax.numerics.rotations import logarithm
 from rodjax.rods.rod import Rod
 from rodjax.rods.state import State
-from rodjax.rods.strains import relative_rotation
+from rodjax.rods.strains import element_rotation
 
 
 class StepControl(eqx.Module):
@@ -112,7 +112,7 @@ def error_ratio(
     relative, absolute, twisting = tolerances
     dtype = before.position.dtype
     length = jnp.sum(rod.length)
-    phi = logarithm(relative_rotation(before.quaternion))[:, :2]
+    phi = logarithm(element_rotation(rod, before.quaternion))[:, :2]
     bent = jnp.sum(jnp.sqrt(jnp.sum(phi**2, 1) + jnp.finfo(dtype).tiny))
     bent = jnp.clip(bent, 1e-6, 1.0)
     # of positions, over an element's length in rotations: in single precision this noise would

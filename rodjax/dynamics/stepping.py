@@ -189,6 +189,7 @@ def advance_to(
         equations.force(x),
         None if settling is None else jnp.maximum(settling - 1, 0).astype(jnp.int32),
         state.jerk,
+        breaks=state.breaks,
     )
     if scene.remembers:
         memory = equations.scene.next_memory(node_motion(new))
@@ -201,7 +202,7 @@ def advance_to(
     if scene.contact is not None and found.contact is not None and held is not None:
         deep = overlap.too_near(scene.contact, found.contact, held, new.position)
         codes.append(jnp.where(deep, Result.CONTACT_OVERCOME, Result.SUCCESS))
-    turned_far = (largest(increment[:, 3:]) > jnp.pi) | wound(new.quaternion)
+    turned_far = (largest(increment[:, 3:]) > jnp.pi) | wound(scene.rod, new.quaternion)
     code = jnp.where(turned_far, Result.ROTATION_TOO_LARGE, Result.SUCCESS)
     code = join(solved.result, *(one for one in codes if one is not None), code)
     if too_fast is not None:

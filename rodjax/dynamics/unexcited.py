@@ -21,6 +21,8 @@ from rodjax.equilibria.motion_norms import moving_weight
 from rodjax.equilibria.unstable_modes import count_below, neutral
 from rodjax.numerics.compilation import compiled
 from rodjax.numerics.results import ModelWarning, Result
+from rodjax.rods.chain import states_of
+from rodjax.rods.rod import Rod
 from rodjax.rods.state import State
 from rodjax.scenes.scene import Scene
 
@@ -38,23 +40,14 @@ def warn_if_unexcited(scene: Scene, run: Run) -> None:
     # where a constraint changes at the end, the forces are of those before
     if any(float(t) == float(final.time) for t in scene.switch_times):
         return
-    position, force = final.position, final.force
-    chord = position[-1] - position[0]
-    length = np.sum(np.asarray(scene.rod.length))
-    along = chord / np.maximum(np.linalg.norm(chord), np.finfo(chord.dtype).tiny)
-    aside = position - position[0] - np.outer((position - position[0]) @ along, along)
-    rounding = np.sqrt(np.finfo(position.dtype).eps)
-    # a state that is not finite is not straight either
-    if not np.max(np.abs(aside)) <= rounding * length:
+    pressed = [
+        found
+        for rod, state in zip(scene.rods, states_of(final), strict=True)
+        if (found := _pressed(rod, state)) is not None
+    ]
+    if not pressed:
         return
-    stiffness = np.asarray(scene.rod.stiffness)
-    thrust = max(float(np.max(-force[:, 2])), 0.0)  # along the tangents
-    twist = turns_of_elements(final.quaternion)[:, 2] / np.asarray(scene.rod.length)
-    twist = twist - np.asarray(scene.rod.natural_curvature)[:, 2]
-    torque = float(np.max(np.abs(stiffness[:, 2] * twist)))
-    soft = np.min(stiffness[:, :2])
-    if thrust * length**2 / soft + (0.5 * torque * length / soft) ** 2 < _SAFE:
-        return
+    thrust, torque = pressed[0]
     final = run.final
     try:
         check_held(scene, final, spin_free=True)
@@ -70,6 +63,28 @@ def warn_if_unexcited(scene: Scene, run: Run) -> None:
             ModelWarning,
             stacklevel=3,
         )
+
+
+def _pressed(rod: Rod, state: State) -> tuple[float, float] | None:
+    """Thrust [N] and torque [N m] of a rod that is straight, if they might make it buckle."""
+    position, force = np.asarray(state.position), np.asarray(state.force)
+    chord = position[-1] - position[0]
+    length = np.sum(np.asarray(rod.length))
+    along = chord / np.maximum(np.linalg.norm(chord), np.finfo(chord.dtype).tiny)
+    aside = position - position[0] - np.outer((position - position[0]) @ along, along)
+    rounding = np.sqrt(np.finfo(position.dtype).eps)
+    # a state that is not finite is not straight either
+    if not np.max(np.abs(aside)) <= rounding * length:
+        return None
+    stiffness = np.asarray(rod.stiffness)
+    thrust = max(float(np.max(-force[:, 2])), 0.0)  # along the tangents
+    twist = turns_of_elements(np.asarray(state.quaternion))[:, 2] / np.asarray(rod.length)
+    twist = twist - np.asarray(rod.natural_curvature)[:, 2]
+    torque = float(np.max(np.abs(stiffness[:, 2] * twist)))
+    soft = np.min(stiffness[:, :2])
+    if thrust * length**2 / soft + (0.5 * torque * length / soft) ** 2 < _SAFE:
+        return None
+    return thrust, torque
 
 
 @compiled

@@ -2,17 +2,20 @@
 
 Block elimination starts at node 0 and pivots inside a block only, but without inertia the
 equations of a part of a rod that begins with a free, pinned or sliding end are singular. So the
-elimination is done for a cantilever, clamped at node 0 and free at the other end, of which every
-part is held (and nothing is held twice, as a straight inextensible rod between two clamps would
-be). What the rod's own ends and supports are besides stands in a border (see `border`): with P the
-projector of what holds a node,
+elimination is done for a cantilever, clamped at its first node and free at the other end, of which
+every part is held (and nothing is held twice, as a straight inextensible rod between two clamps
+would be); of several rods each is one. What the rod's own ends and supports are besides stands in a
+border (see `border`): with P the projector of what holds a node,
 
-- node 0 moves as q in the directions that it is free to: its balances, (1 - P) of them, are rows;
+- a first node moves as q in the directions that it is free to: its balances, (1 - P) of them, are
+  rows;
 - each other held node is free in the cantilever and feels a wrench P w there, which holds it: its
   rows are P of its motion, and w = 0 in the directions that are free.
 
 The border is symmetric where the balances have a potential.
 """
+
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -26,13 +29,20 @@ from rodjax.numerics.block_tridiagonal import BlockTridiagonal
 from rodjax.scenes.holds import Node, impose, rows_at, with_part
 
 
+class Anchor(NamedTuple):
+    """The first node of a rod."""
+
+    held: int  # its number among the nodes that are held
+    clamped: bool  # whether it is known to be, and so needs no border
+
+
 class AnchoredSystem(eqx.Module):
-    """The system of a rod whose nodes are held, node 0 first; without what its border adds."""
+    """The system of rods whose nodes are held, first nodes too; without what its border adds."""
 
     free: CoupledSystem  # of the rod that nothing holds
     projectors: Float[Array, "h 6 6"]
     nodes: tuple[Node, ...]
-    clamped: bool = eqx.field(static=True)  # whether node 0 is known to be
+    anchors: tuple[Anchor, ...] = eqx.field(static=True)  # among the nodes
 
     def multiply(self, b: Float[Array, "nodes 9"]) -> Float[Array, "nodes 9"]:
         """Matrix times vector, rows of balances replaced by what is held as in `assembly`."""
@@ -62,41 +72,53 @@ class AnchoredSystem(eqx.Module):
         return self._replaced(x, rows)
 
     def _bordered(self) -> BorderedSystem:
-        return bordered(self.free, self.projectors, self.nodes, clamped=self.clamped)
+        return bordered(self.free, self.projectors, self.nodes, self.anchors)
 
     @property
-    def _others(self) -> slice:
+    def _others(self) -> np.ndarray:
         """Which of the nodes are held otherwise than the cantilever's."""
-        return slice(1 if self.clamped else 0, None)
+        return np.array(_in_border(self.nodes, self.anchors), int)
+
+    @property
+    def _nodes(self) -> tuple[Node, ...]:
+        return tuple(self.nodes[i] for i in self._others)
 
     def _rows(self, b: Float[Array, "nodes 9"]) -> Float[Array, "o 6"]:
         """The balances of these nodes."""
-        return rows_at(b[:, 3:], self.nodes[self._others])
+        return rows_at(b[:, 3:], self._nodes)
 
     def _replaced(self, b: Float[Array, "nodes 9"], rows) -> Float[Array, "nodes 9"]:
-        for node, row in zip(self.nodes[self._others], rows, strict=True):
+        for node, row in zip(self._nodes, rows, strict=True):
             b = with_part(b, row[None], (node, 3))
         return b
 
     def _inside(self, rows: Float[Array, "o 6"]) -> Float[Array, "o 6"]:
         """What of right sides is one of the cantilever: all but that of the border's rows."""
         held = self.projectors
-        inside = (jnp.eye(6, dtype=held.dtype)[None] - held).at[0].set(held[0])
+        first = np.array([anchor.held for anchor in self.anchors])
+        inside = (jnp.eye(6, dtype=held.dtype)[None] - held).at[first].set(held[first])
         return jnp.einsum("oij,oj->oi", inside[self._others], rows)
+
+
+def _in_border(nodes: tuple[Node, ...], anchors: tuple[Anchor, ...]) -> list[int]:
+    """Which of the nodes stand in the border: the anchors that move, then the others."""
+    first = [anchor.held for anchor in anchors]
+    moving = [anchor.held for anchor in anchors if not anchor.clamped]
+    return moving + [i for i in range(len(nodes)) if i not in first]
 
 
 def bordered(
     free: CoupledSystem,
     projectors: Float[Array, "h 6 6"],
     nodes: tuple[Node, ...],
+    anchors: tuple[Anchor, ...],
     *,
-    clamped: bool,
     slack: Float[Array, "6"] | None = None,
 ) -> BorderedSystem:
-    """The cantilever of a rod that is free, with the border of its nodes that are held.
+    """The cantilevers of rods that are free, with the border of their nodes that are held.
 
     Args:
-        nodes: node 0 first; where it is `clamped`, it needs no border.
+        nodes: those held, the first of every rod among them, which the `anchors` tell.
         slack: how far what holds the others gives way (scaled), for directions that are held
             twice; None: not at all.
     """
@@ -104,20 +126,26 @@ def bordered(
     eye = jnp.eye(6, dtype=blocks.diagonal.dtype)
     give = 0.0 * eye if slack is None else jnp.diag(slack)
     motion = jnp.insert(eye, np.array([3, 3, 3]), 0.0, axis=1)
+    firsts = tuple(int(nodes[anchor.held]) for anchor in anchors)
+    begin = np.array(firsts)
+    # between rods nothing couples: what is below a first node is zero
     still = BlockTridiagonal(
         blocks.lower,
-        blocks.diagonal.at[0, 3:].set(motion),
-        blocks.upper.at[0, 3:].set(0.0),
+        blocks.diagonal.at[begin, 3:].set(motion),
+        blocks.upper.at[begin, 3:].set(0.0),
     )
-    coupling = None if free.coupling is None else free.coupling.held(eye[None], (0,))
+    every = jnp.broadcast_to(eye, (len(firsts), 6, 6))
+    coupling = None if free.coupling is None else free.coupling.held(every, firsts)
     nothing = jnp.zeros((6, count, 9), eye.dtype)
-    borders = []
-    if not clamped:
-        moving = eye - projectors[0]
-        columns = nothing.at[:, 0, 3:].set(-moving)
-        rows = jnp.einsum("ij,jnr->inr", moving, _first_balances(free))
-        borders.append(Border(columns, rows, projectors[0]))
-    for node, projector in zip(nodes[1:], projectors[1:], strict=True):
+    borders, anchored = [], {anchor.held for anchor in anchors}
+    for i in _in_border(nodes, anchors):
+        node, projector = nodes[i], projectors[i]
+        if i in anchored:
+            moving = eye - projector
+            columns = nothing.at[:, node, 3:].set(-moving)
+            rows = jnp.einsum("ij,jnr->inr", moving, _first_balances(free, int(node)))
+            borders.append(Border(columns, rows, projector))
+            continue
         columns = with_part(nothing, projector[:, None], (0, node, 3))
         rows = with_part(nothing, (projector @ motion)[:, None], (0, node, 0))
         # in this order the slack is not lost in rounding
@@ -125,13 +153,14 @@ def bordered(
     return BorderedSystem(CoupledSystem(still, coupling), Border.joined(*borders))
 
 
-def _first_balances(free: CoupledSystem) -> Float[Array, "6 nodes 9"]:
-    """The rows of the balances of node 0."""
+def _first_balances(free: CoupledSystem, node: int) -> Float[Array, "6 nodes 9"]:
+    """The rows of the balances of a rod's first node."""
     blocks, coupling = free.blocks, free.coupling
     eye = jnp.eye(6, 9, k=3, dtype=blocks.diagonal.dtype)
-    units = jnp.zeros((6, *blocks.diagonal.shape[:2]), eye.dtype).at[:, 0].set(eye)
+    units = jnp.zeros((6, *blocks.diagonal.shape[:2]), eye.dtype).at[:, node].set(eye)
     rows = jnp.zeros_like(units)
-    rows = rows.at[:, 0].set(blocks.diagonal[0, 3:]).at[:, 1].set(blocks.upper[0, 3:])
+    rows = rows.at[:, node].set(blocks.diagonal[node, 3:])
+    rows = rows.at[:, node + 1].set(blocks.upper[node, 3:])
     if coupling is not None:
         rows = rows + jax.vmap(coupling.transpose().multiply)(units)
     return rows

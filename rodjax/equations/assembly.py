@@ -85,7 +85,7 @@ def assemble(
     before = lambda blocks: jnp.pad(blocks, ((1, 0), (0, 0), (0, 0)))
     after = lambda blocks: jnp.pad(blocks, ((0, 1), (0, 0), (0, 0)))
     zero = jnp.zeros((n, 3, 3), dtype)
-    edge = jnp.swapaxes(tangent.frame, 1, 2) * (l / rod.length)[:, None, None]
+    edge = jnp.swapaxes(tangent.frame, 1, 2) * (l / rod.gauge_length)[:, None, None]
     if tangent.constraint_edge is not None:
         edge = l * tangent.constraint_edge
     give = zero

@@ -43,7 +43,7 @@ class Constrained(eqx.Module):
         if rod.compliance is not None:
             rigid = jnp.where(rod.compliance > 0, 0.0, 1.0)
         matrix = _inertia_matrix(scene, state)
-        scales = Scales(jnp.mean(rod.length), jnp.mean(matrix[:, 0, 0]) * jnp.mean(rod.length))
+        scales = Scales(rod.mean_length, jnp.mean(matrix[:, 0, 0]) * rod.mean_length)
         tangent = balance.constraint_tangent(rod, kinematics)
         blocks = _release(assemble(rod, tangent, matrix, both, scene.held_nodes, scales), rigid)
         system = CoupledSystem(lax.stop_gradient(blocks))

@@ -9,7 +9,7 @@ from jax import lax
 from jaxtyping import Array, Float
 
 from rodjax.constraints import ends
-from rodjax.equations.anchored import AnchoredSystem
+from rodjax.equations.anchored import Anchor, AnchoredSystem
 from rodjax.equations.assembly import Scales, assemble, residual_rows
 from rodjax.equations.coupled import CoupledSystem
 from rodjax.equations.coupling import Coupling, couple
@@ -180,8 +180,8 @@ class Equations(eqx.Module, Generic[Scheme]):
         tangent = balance.element_tangent(scene.rod, motion, self.force(x), moving)
         node = node_tangent(scene, motion, moving=moving, load_factor=scheme.load_part())
         node = scheme.stiffened(placed.change, node)
-        first = scene.first_end
-        if slopes is not None or (first.clamped and not scene.supports):
+        anchors = anchors_of(scene)
+        if slopes is not None or _at_ends(scene, anchors):
             held = self.projectors, scene.held_nodes
             return CoupledSystem(assemble(scene.rod, tangent, node, *held, self.scales), coupling)
         # what lies before a node is not held without inertia, or held twice: see `anchored`
@@ -189,7 +189,7 @@ class Equations(eqx.Module, Generic[Scheme]):
         free = assemble(scene.rod, tangent, node, *nowhere, self.scales)
         coupling = None if coupling is None else coupling.held(*nowhere)
         held = self.projectors, scene.held_nodes
-        return AnchoredSystem(CoupledSystem(free, coupling), *held, first.clamped)
+        return AnchoredSystem(CoupledSystem(free, coupling), *held, anchors)
 
     def iterate(self, x, tolerance, max_iterations):
         """Newton's iteration, with a held derivative where pairs are near.
@@ -274,6 +274,18 @@ class Equations(eqx.Module, Generic[Scheme]):
         return jnp.sqrt(jnp.max(jnp.sum(dx[:, 6:] ** 2, 1)))
 
 
+def anchors_of(scene: Scene) -> tuple[Anchor, ...]:
+    """The first nodes of the scene's rods among what is held."""
+    # both ends of the scene come first, then the last end of a rod and the first of the next
+    ends = (*scene.ends, *scene.inner_ends)
+    return tuple(Anchor(i, ends[i].clamped) for i in (0, *range(3, len(ends), 2)))
+
+
+def _at_ends(scene: Scene, anchors: tuple[Anchor, ...]) -> bool:
+    """Whether rods are clamped at their first nodes and held besides at their last alone."""
+    return all(anchor.clamped for anchor in anchors) and not scene.supports
+
+
 def step_equations(
     scene: Scene,
     state: State,
@@ -292,11 +304,11 @@ def _scales(scene: Scene, scheme: AbstractScheme) -> Scales:
     Without derivative, for the solution does not hang on them.
     """
     rod = scene.rod
-    length = jnp.mean(rod.length)
-    force = jnp.mean(rod.stiffness[:, :2]) / length**2
+    length = rod.mean_length
+    force = rod.mean_bending / length**2
     slopes = scheme.slopes()
     if rod.mass is not None and slopes is not None:
-        mass = jnp.mean(rod.mass) * length
+        mass = jnp.mean(rod.solid(rod.mass)) * length
         force = force + slopes.by_acceleration * mass * length
     return Scales(*lax.stop_gradient((length, force)))
 

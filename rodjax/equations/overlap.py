@@ -101,9 +101,10 @@ class _Between(NamedTuple):
 
 def _between(xp, vertices, a, b, sites: Sites, contact: Contact) -> _Between:
     """Of the segments a and b, by numpy or jax.numpy."""
-    length = sites.spacing * contact.points_per_segment
+    spacing = xp.broadcast_to(sites.spacing, sites.arc_length.shape[:1])
+    begin, length = sites.arc_length[:, 0] - 0.5 * spacing, spacing * contact.points_per_segment
     u, v, distance = _closest(xp, *(x for i in (a, b) for x in (vertices[i], vertices[i + 1])))
-    first, second = (a.astype(u.dtype) + u) * length, (b.astype(v.dtype) + v) * length
+    first, second = begin[a] + u * length[a], begin[b] + v * length[b]
     return _Between(first, second, along(sites, first, second, xp), distance)
 
 
@@ -134,11 +135,16 @@ def deepest(scene: Scene, position) -> Overlap | None:
     sites, held, excluded = jax.tree.map(np.asarray, _limits(scene))
     vertices = np.einsum("jk,jkc->jc", sites.weight, np.asarray(position)[sites.nodes])
     middles = 0.5 * (vertices[1:] + vertices[:-1])
-    reach = np.max(held) + np.sqrt(np.max(np.sum(np.diff(vertices, axis=0) ** 2, 1)))
+    chords = np.diff(vertices, axis=0)
+    if contact.idle is not None:
+        chords = chords[~contact.idle]
+    reach = np.max(held) + np.sqrt(np.max(np.sum(chords**2, 1)))
     a, b = KDTree(middles).query_pairs(reach, output_type="ndarray").T
     found = _between(np, vertices, a, b, sites, contact)
     limit = 0.5 * (held[a] + held[b])
     near = (found.distance < limit) & (found.along >= excluded)
+    if contact.idle is not None:
+        near = near & ~contact.idle[a] & ~contact.idle[b]
     if not np.any(near):
         return None
     i = np.argmin(np.where(near, found.distance / np.where(limit > 0, limit, 1.0), np.inf))

@@ -55,6 +55,8 @@ def least_hold(scene: Scene, state: State) -> Float[Array, ""]:
         edge = jnp.sqrt(share)[:, None] * give * stretch
         edge = edge - share[:, None] * jnp.einsum("nij,nj->ni", shear, both)
         edge = jnp.einsum("nij,nj->ni", kinematics.frame, edge)
+        if rod.breaks:  # the next rod moves by itself
+            edge = rod.at_breaks(edge, stretch[np.array(rod.breaks)])
         moved = jnp.cumsum(jnp.concatenate([first[None], edge]), 0)
         return rows_at(jnp.concatenate([moved, spins], 1), nodes)
 
@@ -143,7 +145,7 @@ def _spin_resistance(scene: Scene, state: State):
     motion = at_rest(state.time, state.position, state.quaternion)
     wrench = lambda z: static_imbalance(scene, moved(motion, z), state.force)[0]
     change = jax.jvp(wrench, (jnp.zeros_like(spin),), (spin,))[1]
-    unit = jnp.mean(rod.stiffness) / jnp.sum(rod.length)
+    unit = jnp.mean(rod.solid(rod.stiffness)) / jnp.sum(rod.length)
     drag = jnp.zeros(())
     if scene.loads:
         rate = lambda z: -total_wrench(scene.loads, rod, motion._replace(angular_velocity=z[:, 3:]))
@@ -160,13 +162,15 @@ def check_single_precision(scene: Scene, *, moving: bool = True) -> None:
     rod = scene.rod
     if rod.mass is None or not _all_known(rod):
         return
-    length = np.asarray(rod.length, float)
+    length = np.asarray(rod.solid(rod.length), float)
     numbers = {}
     if rod.rotary_inertia is not None:
-        inertia = np.asarray(rod.rotary_inertia, float) * length[:, None]
+        inertia = np.asarray(rod.solid(rod.rotary_inertia), float) * length[:, None]
         numbers["rotary_inertia: of an element"] = inertia[inertia > 0]
     if moving:
-        numbers["mass: with the length of an element, m ds^3"] = np.asarray(rod.mass) * length**3
+        numbers["mass: with the length of an element, m ds^3"] = (
+            np.asarray(rod.solid(rod.mass)) * length**3
+        )
     kind = rod.position.dtype
     for name, values in numbers.items():
         least = np.min(values, initial=np.inf)

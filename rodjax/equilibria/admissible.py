@@ -60,7 +60,7 @@ def _units(scene: Scene) -> Float[Array, "6"]:
 
 def mean_bending(scene: Scene) -> Float[Array, ""]:
     """A [N m^2], the unit of stiffness times L."""
-    return jnp.mean(scene.rod.stiffness[:, :2])
+    return scene.rod.mean_bending
 
 
 def rate_of(scene: Scene) -> Float[Array, ""]:

@@ -217,9 +217,10 @@ def _equilibrium(
     motion = equations.motion(x)
     zero = jnp.zeros_like(state.rate)
     quaternion = rotations.normalize(motion.quaternion)
-    memory = equations.scene.next_memory(motion)
-    force = equations.force(x)
-    new = State(time, motion.position, quaternion, zero, zero, zero, force, memory=memory)
+    memory, force = equations.scene.next_memory(motion), equations.force(x)
+    at_rest = zero, zero, zero, force
+    breaks = scene.rod.breaks
+    new = State(time, motion.position, quaternion, *at_rest, memory=memory, breaks=breaks)
     return new, EquilibriumInfo(
         result=path.result,
         iterations=path.iterations,

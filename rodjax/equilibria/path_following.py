@@ -35,8 +35,9 @@ from rodjax.equilibria.motion_norms import moving_weight, resisting_weight
 from rodjax.equilibria.unstable_modes import count_below, neutral
 from rodjax.numerics import newton, results, rotations
 from rodjax.numerics.results import Result
+from rodjax.rods.rod import Rod
 from rodjax.rods.state import Memory
-from rodjax.rods.strains import relative_rotation, wound
+from rodjax.rods.strains import element_rotation, wound
 from rodjax.scenes import drives
 from rodjax.scenes.scene import Scene
 
@@ -113,7 +114,7 @@ def follow(
     when = lambda reached: state.time + reached * (stop - state.time)
     weight, norm = resisting_weight(scene), moving_weight(scene)
     patience = newton.PATIENCE if scene.contact is None else _PATIENCE
-    elastic = jnp.mean(scene.rod.stiffness[:, :2]) / jnp.sum(scene.rod.length) ** 2
+    elastic = scene.rod.mean_bending / jnp.sum(scene.rod.length) ** 2
     spinning = spin_resistance(scene)
 
     def equations(
@@ -166,7 +167,10 @@ def follow(
         code = lambda bad, which: jnp.where(bad, which, Result.SUCCESS)
         result = results.join(
             solved.result,
-            code(_astray(reference[1], trial.motion(x).quaternion, x), Result.ROTATION_TOO_LARGE),
+            code(
+                _astray(scene.rod, reference[1], trial.motion(x).quaternion, x),
+                Result.ROTATION_TOO_LARGE,
+            ),
             code(driven, Result.DRIVE_TOO_FAST),
             _overflow(trial, x),
         )
@@ -254,7 +258,7 @@ def follow(
 def spin_resistance(scene: Scene) -> Float[Array, "nodes 6"]:
     """Resistance to the spin of node 0 about its tangent [N m], of the order of A/L."""
     rod = scene.rod
-    amount = jnp.mean(rod.stiffness[:, :2]) / jnp.sum(rod.length)
+    amount = rod.mean_bending / jnp.sum(rod.length)
     return jnp.zeros((rod.elements + 1, 6), amount.dtype).at[0, 5].set(amount)
 
 
@@ -290,7 +294,10 @@ def _disturbed(reference: Reference) -> Reference:
 
 
 def _astray(
-    before: Float[Array, "nodes 4"], after: Float[Array, "nodes 4"], x: Float[Array, "nodes 9"]
+    rod: Rod,
+    before: Float[Array, "nodes 4"],
+    after: Float[Array, "nodes 4"],
+    x: Float[Array, "nodes 9"],
 ) -> Bool[Array, ""]:
     """Whether a node or an element turned by more than can be told from less, or is wound up.
 
@@ -298,7 +305,7 @@ def _astray(
     half a turn, which no element turns by in a step.
     """
     turned = jnp.max(jnp.sum(x[:, 6:] ** 2, 1)) > jnp.pi**2
-    strain = lambda quaternion: rotations.logarithm(relative_rotation(quaternion))
+    strain = lambda quaternion: rotations.logarithm(element_rotation(rod, quaternion))
     old, new = jax.vmap(strain)(jnp.stack([before, after]))
     jumped = jnp.max(jnp.sum((new - old) ** 2, 1)) > jnp.pi**2
-    return turned | jumped | wound(after)
+    return turned | jumped | wound(rod, after)

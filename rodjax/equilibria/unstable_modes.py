@@ -20,11 +20,11 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
-from rodjax.equations.anchored import bordered
+from rodjax.equations.anchored import Anchor, bordered
 from rodjax.equations.assembly import AS_COLUMNS, Scales, assemble
 from rodjax.equations.coupled import CoupledSystem
 from rodjax.equations.coupling import couple
-from rodjax.equations.equations import Equations
+from rodjax.equations.equations import Equations, anchors_of
 from rodjax.equations.imbalance import node_tangent
 from rodjax.equations.schemes import AtRest
 from rodjax.numerics import rotations
@@ -51,7 +51,7 @@ def neutral(scene: Scene, force: Float[Array, "n 3"]) -> Float[Array, ""]:
     """
     rod = scene.rod
     root = jnp.sqrt(jnp.finfo(force.dtype).eps)
-    elastic = jnp.mean(rod.stiffness[:, :2]) / jnp.sum(rod.length) ** 2
+    elastic = rod.mean_bending / jnp.sum(rod.length) ** 2
     return root * (100 * elastic + jnp.max(jnp.abs(force)))
 
 
@@ -79,7 +79,7 @@ def _count(equations: Equations[AtRest], x, added: Float[Array, "nodes 6"]) -> I
     symmetric = _symmetric(blocks)
     blocks = jax.tree.map(lambda a, b: jnp.where(even, a, b), symmetric, blocks)
     scene = equations.scene
-    counted = functools.partial(_counted, clamped=scene.first_end.clamped)
+    counted = functools.partial(_counted, anchors=anchors_of(scene))
     held = equations.projectors, scene.held_nodes
     if scene.contact is None:
         return counted(CoupledSystem(blocks), *held, even)
@@ -120,7 +120,7 @@ def _tangent(equations: Equations[AtRest], x) -> BlockTridiagonal:
     blocks = assemble(scene.rod, elements, node, *nowhere, equations.scales)
     # in units in which the tangent is a second derivative
     length = equations.scales.length
-    edges = jnp.concatenate([length[None], scene.rod.length]) / length
+    edges = jnp.concatenate([length[None], scene.rod.gauge_length]) / length
     factor = jnp.ones((len(edges), 9, 1), node.dtype).at[:, :3, 0].set(edges[:, None])
     return jax.tree.map(lambda rows: factor * rows, blocks)
 
@@ -163,20 +163,20 @@ def _counted(
     nodes: tuple[Node, ...],
     even: Bool[Array, ""],
     *,
-    clamped: bool,
+    anchors: tuple[Anchor, ...],
 ) -> Int[Array, ""]:
     """The number by elimination, from the tangent of the rod that nothing holds.
 
     Args:
         even: whether the tangent is symmetric.
-        clamped: whether node 0 is known to be.
+        anchors: the first nodes of rods.
     """
     elements, dtype = len(free.blocks.diagonal) - 1, projectors.dtype
     # what is held twice does not give way, but for the rounding of how far the cantilever does
     slack = jnp.full((6,), _SLACK, dtype).at[:3].max(2 * float(jnp.finfo(dtype).eps) * elements**3)
-    eliminated = bordered(free, projectors, nodes, clamped=clamped, slack=slack).eliminate()
+    eliminated = bordered(free, projectors, nodes, anchors, slack=slack).eliminate()
     # of forces and wrenches
-    expected = 3 * elements + 6 * (len(nodes) - 1)
+    expected = 3 * elements + 6 * (len(nodes) - len(anchors))
     # rows stand as assembled, not as columns: in each of the n + 1 blocks an odd permutation
     sign = (-1.0) ** (expected + elements + 1)
     count = lambda: eliminated.negative() - expected

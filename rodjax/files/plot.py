@@ -36,7 +36,7 @@ def snapshots(
     Shapes that are taller than wide stand side by side instead. A circle marks the end s = 0.
 
     Args:
-        rod: with a diameter.
+        rod: with a diameter; of several rods `scene.rod`, which is all of them.
         states: states to draw, in order, such as `[run.state(0), run.final]`.
         densities: strain-energy density of the elements of each, Eq. (4) [N], such as
             `[rx.energy.strain_energy_density(rod, state) for state in states]`.
@@ -95,8 +95,9 @@ def snapshots(
                 colors=colors,
                 view=view,
                 stripe=stripe_first and index == 0,
+                breaks=rod.breaks,
             )
-            start = flat[index][0, :2]
+            start = flat[index][[part.first for part in rod.parts], :2].T
             axes.plot(*start, "o", markersize=9, markerfacecolor="none", color="black", zorder=3)
         else:
             axes.set_aspect("equal")

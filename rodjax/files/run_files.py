@@ -63,9 +63,10 @@ def write_run(
                 raise StorageError(f"measure_units: '{name}' is no array among the measures")
             file[f"measures/{name}"].attrs["units"] = unit
         # a run may be kept in less precision than its scene; no program for every number of states
-        length = np.asarray(scene.rod.length)
+        length = np.asarray(scene.rod.gauge_length)
         frames = np.asarray(run.states.quaternion, length.dtype)
         kappa = turns_of_elements(frames) / length[:, None]
+        kappa[..., list(scene.rod.breaks), :] = 0.0
         # derived from the quaternions: written for readers of the file, not read back
         states = file.require_group("run/states")
         write(states, "curvature", kappa, "curvature", f"rad/{units.length}")

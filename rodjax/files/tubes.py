@@ -77,8 +77,9 @@ def tube(
     view: View | None = None,
     stripe: bool = False,
     sides: int = 20,
+    breaks: tuple[int, ...] = (),
 ) -> None:
-    """Draw a rod as a shaded tube in parallel projection.
+    """Draw a rod, or several, as shaded tubes in parallel projection.
 
     Args:
         diameter, values: of the elements [m; any]; `values` choose the colours.
@@ -88,6 +89,7 @@ def tube(
         view: default: `facing` this shape.
         stripe: draw a black line along the director a_1, so that twist can be seen.
         sides: faces around the tube.
+        breaks: elements that are none, between rods (`Rod.breaks`).
     """
     from matplotlib.collections import PolyCollection
 
@@ -116,6 +118,8 @@ def tube(
         width = 2 * np.pi / sides * max(1, sides // 8)
         rgb[:, np.cos(middle) > np.cos(width)] = 0.0
     visible = normal[..., 2] > -0.1
+    for element in breaks:
+        visible[element * pieces : (element + 1) * pieces] = False
     faces, rgb = quads[visible], rgb[visible]
     order = np.argsort(faces[..., 2].mean(1))  # painter's order, the nearest last
     faces, rgb = faces[order, :, :2], rgb[order]

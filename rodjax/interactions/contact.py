@@ -6,9 +6,11 @@ the segments near each other, `contact_forces` sums the law over the points of s
 """
 
 import dataclasses
+from collections.abc import Callable
 from typing import NamedTuple
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
@@ -28,7 +30,7 @@ from rodjax.inputs.validation import (
 )
 from rodjax.interactions.contact_checks import check_law
 from rodjax.interactions.contact_laws import AbstractLaw, Penalty
-from rodjax.rods.rod import Rod
+from rodjax.rods.rod import Part, Rod
 
 
 class Contact(eqx.Module):
@@ -36,8 +38,9 @@ class Contact(eqx.Module):
 
     Args:
         law: the pair interaction.
-        segments: number of equal segments the rod is divided into for contact. They set the cost,
-            which does not grow with the grid; chords of the grid's own length are a good choice.
+        segments: number of equal segments the rod is divided into for contact, or rods by their
+            lengths. They set the cost, which does not grow with the grid; chords of the grid's own
+            length are a good choice.
         cutoff: no force beyond this distance of the centrelines [m].
         points_per_segment: quadrature points of a segment. Their spacing h must resolve the law:
             for a force ripple under 2 %, h <= d/3 and h <= sqrt(2 d w)/2, with d the settled
@@ -58,7 +61,7 @@ class Contact(eqx.Module):
         pairs_per_segment: capacity of the list of near pairs, per vertex of `capacities`. Default:
             what two strands side by side need, by the rod of the scene; 4 where its length or the
             cut-off is not known, as in traced code.
-        listed: set by the scene, see `fitted`.
+        listed, shares: set by the scene, see `fitted`.
     """
 
     law: AbstractLaw
@@ -71,6 +74,7 @@ class Contact(eqx.Module):
     capacities: tuple[int, ...] | None = eqx.field(static=True, default=None)
     pairs_per_segment: int | None = eqx.field(static=True, default=None)
     listed: int | None = eqx.field(static=True, default=None, repr=False)
+    shares: tuple[int, ...] | None = eqx.field(static=True, default=None, repr=False)
 
     def __check_init__(self):
         check_instance(AbstractLaw, "give a law such as Penalty(stiffness)", law=self.law)
@@ -194,15 +198,36 @@ class Contact(eqx.Module):
             )
 
     def fitted(self, rod: Rod) -> "Contact":
-        """The contact with room for the near pairs of its rod (`listed`), where that is known.
+        """The contact with room for the near pairs of its rod (`listed`), where that is known, and
+        with its segments shared out to several rods (`shares`; by elements if lengths are traced).
 
         `Scene` sees to it. Less room than is needed shows as `CAPACITY_OVERFLOW`.
         """
         known_parts = known(rod.length) and all(
             x is None or known(x) for x in (self.cutoff, self.aperture)
         )
+        shares = _shared_out(self.segments, rod) if rod.breaks else None
         listed = max(4, self._partners(rod)) if known_parts else self.listed
-        return dataclasses.replace(self, listed=listed)
+        return dataclasses.replace(self, listed=listed, shares=shares)
+
+    @property
+    def shared(self) -> tuple[int, ...]:
+        """How many segments each rod has."""
+        return self.shares or (self.segments,)
+
+    @property
+    def vertices(self) -> int:
+        """Vertices of all rods."""
+        return sum(self.shared) + len(self.shared)
+
+    @property
+    def idle(self) -> Bool[np.ndarray, " g"] | None:
+        """Which of the segments between all vertices are none; None where all of them are."""
+        if self.shares is None:
+            return None
+        none = np.zeros(self.vertices - 1, bool)
+        none[np.cumsum(np.array(self.shares) + 1)[:-1] - 1] = True
+        return none
 
     def _partners(self, rod: Rod) -> int:
         """Partners of a vertex on one strand beside it, at the worst distance, each pair once."""
@@ -233,7 +258,7 @@ class Contact(eqx.Module):
     @property
     def sizes(self) -> tuple[int, ...]:
         """Numbers of vertices for which a solver is compiled."""
-        vertices = self.segments + 1
+        vertices = self.vertices
         if self.capacities is not None:
             return tuple(sorted({min(size, vertices) for size in self.capacities}))
         sizes = [64]
@@ -249,42 +274,101 @@ class Sites(NamedTuple):
     nodes: Int[Array, "j k"]  # between which a vertex is interpolated, k = 4 or all of them
     weight: Float[Array, "j k"]  # of each
     arc_length: Float[Array, "g p"]  # of the points of every segment
-    spacing: Float[Array, ""]  # of the points
+    spacing: Float[Array, "*g"]  # of the points; of each segment where there are several rods
     diameter: Float[Array, "g p"]
     mass: Float[Array, "g p"] | None
     around: Float[Array, ""] | None = None  # length of a closed rod, infinite if it is open
 
+    def weigh(self, at_a: Callable, at_b: Callable) -> Float[Array, "*q"]:
+        """Product of the spacings of the points of two segments, which are taken from rows so."""
+        if self.spacing.ndim == 0:
+            return self.spacing**2
+        return at_a(self.spacing[:, None]) * at_b(self.spacing[:, None])
+
+    @property
+    def widest(self) -> Float[Array, ""]:
+        """Largest spacing."""
+        return self.spacing if self.spacing.ndim == 0 else jnp.max(self.spacing)
+
 
 def sites_of(contact: Contact, rod: Rod, closed: bool | Bool[Array, ""] = False) -> Sites:
-    """Joints at equal arcs, points at the middles of equal parts of every segment.
+    """Vertices at equal arcs, points at the middles of equal parts of every segment.
 
     Of a `closed` rod, whose ends are at one place, the shorter way counts (`Scene.closed`).
-    Joints lie on the cubic through the four nodes nearest to them: on the elements' chords they
+    Vertices lie on the cubic through the four nodes nearest to them: on the elements' chords they
     would be off by kappa l^2/8, which in a tight loop is as much as a strand gives way.
+
+    Of several rods each has segments of its own, and between two of them stands one that is none.
+    Their arc lengths are so far from each other that no exclusion reaches from one to the next.
     """
+    shares = contact.shared
+    if len(shares) != len(rod.parts):
+        raise ValueError("contact: it was set up for another number of rods; give it to the scene")
     total = jnp.sum(rod.length)
-    spacing = total / (contact.segments * contact.points_per_segment)
+    if not rod.breaks:
+        around = None
+        if closed is not False:
+            around = lax.stop_gradient(jnp.where(closed, total, jnp.inf))
+        return _sites_of_one(contact, rod, rod.parts[0], shares[0])._replace(around=around)
+    found = []
+    for i, (part, segments) in enumerate(zip(rod.parts, shares, strict=True)):
+        own = _sites_of_one(contact, rod, part, segments)
+        far = 3 * i * total
+        if found:
+            found.append(_between_rods(own, far - total))
+        spacing = jnp.broadcast_to(own.spacing, (segments,))
+        found.append(own._replace(arc_length=own.arc_length + far, spacing=spacing))
+    width = min(one.nodes.shape[1] for one in found)
+    assert all(one.nodes.shape[1] == width for one in found)
+    return jax.tree.map(lambda *rows: jnp.concatenate(rows), *found)
+
+
+def _sites_of_one(contact: Contact, rod: Rod, part: Part, segments: int) -> Sites:
+    """Those of one of the rods, arc lengths from its own beginning."""
+    length = rod.length[part.elements]
+    total, points = jnp.sum(length), contact.points_per_segment
+    spacing = total / (segments * points)
     nodes = rod.arc_length
+    if rod.breaks:
+        nodes = nodes[part.nodes] - nodes[part.first]
+    count = part.last - part.first
 
     def element(s):
         # comparing with all nodes compiles far faster than a binary search, and is done once a step
         place = jnp.searchsorted(nodes, s, side="right", method="compare_all")
-        return jnp.clip(place - 1, 0, rod.elements - 1)
+        return jnp.clip(place - 1, 0, count - 1)
 
-    vertices = total / contact.segments * jnp.arange(contact.segments + 1, dtype=total.dtype)
-    stencil = min(4, rod.elements + 1)
-    first = jnp.clip(element(vertices) - 1, 0, rod.elements + 1 - stencil)
+    vertices = total / segments * jnp.arange(segments + 1, dtype=total.dtype)
+    stencil = min(4, *(one.last - one.first + 1 for one in rod.parts))
+    first = jnp.clip(element(vertices) - 1, 0, count + 1 - stencil)
     chosen = first[:, None] + jnp.arange(stencil, dtype=first.dtype)[None]
-    index = jnp.arange(contact.segments * contact.points_per_segment, dtype=total.dtype)
-    s = ((index + 0.5) * spacing).reshape(contact.segments, contact.points_per_segment)
+    index = jnp.arange(segments * points, dtype=total.dtype)
+    s = ((index + 0.5) * spacing).reshape(segments, points)
+    weight = _lagrange(nodes[chosen], vertices[:, None])
     at = element(s)
+    if rod.breaks:
+        at, chosen = at + part.first, chosen + part.first
     mass = None if rod.mass is None else rod.mass[at]
     assert rod.diameter is not None
-    weight = _lagrange(nodes[chosen], vertices[:, None])
-    around = None
-    if closed is not False:
-        around = lax.stop_gradient(jnp.where(closed, total, jnp.inf))
-    return Sites(chosen, weight, s, spacing, rod.diameter[at], mass, around)
+    return Sites(chosen, weight, s, spacing, rod.diameter[at], mass)
+
+
+def _between_rods(after: Sites, place: Float[Array, ""]) -> Sites:
+    """The segment between the last vertex of a rod and the first of the next, which never acts."""
+    first = lambda rows: None if rows is None else rows[:1]
+    s = jnp.full_like(after.arc_length[:1], 0.0) + place
+    spacing = jnp.broadcast_to(after.spacing, (1,))
+    none = after.nodes[:0], after.weight[:0]
+    return Sites(*none, s, spacing, after.diameter[:1], first(after.mass))
+
+
+def _shared_out(segments: int, rod: Rod) -> tuple[int, ...]:
+    """So many segments, by the lengths of rods: two or more each, of nearly one length."""
+    if known(rod.length):
+        sizes = [float(np.sum(np.asarray(rod.length)[part.elements])) for part in rod.parts]
+    else:
+        sizes = [part.last - part.first for part in rod.parts]
+    return tuple(max(2, round(segments * size / sum(sizes))) for size in sizes)
 
 
 def along(sites: Sites, a, b, xp=jnp):

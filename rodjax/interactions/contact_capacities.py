@@ -37,10 +37,10 @@ def capacities(contact: Contact, elements: int) -> tuple[Capacity, ...]:
     many can touch, they are eliminated by a front, if one is wide enough; on accelerators, whose
     threads a front leaves idle, never.
     """
-    finer = contact.segments > elements
+    finer = contact.vertices - 1 > elements
 
     def capacity(vertices):
-        share = -(-vertices * elements // contact.segments) + 16
+        share = -(-vertices * elements // (contact.vertices - 1)) + 16
         nodes = min(elements + 1, share) if finer else None
         return Capacity(vertices, contact.room * vertices, nodes)
 

@@ -98,7 +98,7 @@ def stored(
         distance = jnp.sqrt(jnp.where(acts, squared, contact.cutoff**2))
         mass = None if sites.mass is None else mean(sites.mass)
         energy = pair_energy(contact, distance, PairProperties(mean(sites.diameter), mass))
-        return sites.spacing**2 * jnp.sum(jnp.where(acts, energy, 0.0))
+        return jnp.sum(sites.weigh(at_a, at_b) * jnp.where(acts, energy, 0.0))
 
     def block(total, at):
         again = jax.checkpoint(evaluate, prevent_cse=False)

@@ -187,6 +187,7 @@ def _blocks(contact, sites, pairs, vertices, velocities, by_velocity):
         pair = PairProperties(
             mean(sites.diameter), None if sites.mass is None else mean(sites.mass)
         )
+        weight = lambda: sites.weigh(lambda v: at_a(v, index), lambda v: at_b(v, index))
         acts = along(sites, at_a(s, index), at_b(s, index)) >= contact.excluded
         between = lambda v: jnp.einsum("abi,qik->kqab", mix, v[index])
         r, w = between(vertices), between(velocities)
@@ -207,7 +208,7 @@ def _blocks(contact, sites, pairs, vertices, velocities, by_velocity):
 
         def magnitude(d, c, *cosines):
             psi = continued(contact.law, d, c, pair)
-            return psi * window(contact, d, pair, cosines) * sites.spacing**2
+            return psi * window(contact, d, pair, cosines) * weight()
 
         inputs = (distance, -opening, *cosines)
         if by_velocity is None:

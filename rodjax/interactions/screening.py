@@ -61,7 +61,7 @@ def search(
     )
     sizes = capacities(contact, position.shape[0] - 1)
     # a segment's points lie within this of its middle, so a pair's within twice of the line
-    half = 0.5 * sites.spacing * (contact.points_per_segment - 1)
+    half = 0.5 * sites.widest * (contact.points_per_segment - 1)
     vertices = interpolate(sites, position)
     middles = 0.5 * (vertices[1:] + vertices[:-1])
     moved = None
@@ -69,10 +69,14 @@ def search(
         moved = interpolate(sites, displacement)
         moved = 0.5 * (moved[1:] + moved[:-1])
     s = jnp.mean(sites.arc_length, 1)
-    segment = jnp.arange(contact.segments)
+    segment = jnp.arange(contact.vertices - 1)
     once = (segment[:, None] < segment[None, :]) & (
         along(sites, s[:, None], s[None, :]) + 2 * half >= contact.excluded
     )
+
+    if contact.idle is not None:
+        acting = jnp.asarray(~contact.idle)
+        once = once & acting[:, None] & acting[None, :]
 
     def reached():
         """Which pairs are near, by the reach and the apertures of each."""

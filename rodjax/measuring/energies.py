@@ -11,14 +11,14 @@ from rodjax.rods import balance, inertia
 from rodjax.rods.constitution import in_state, moment_energy_density
 from rodjax.rods.rod import Rod
 from rodjax.rods.state import State, node_motion
-from rodjax.rods.strains import relative_rotation, strains
+from rodjax.rods.strains import element_rotation, strains
 from rodjax.scenes.scene import Found, Scene
 
 
 def _moment_energy_density(rod: Rod, state: State) -> Float[Array, "n 3"]:
     """The three terms of Eq. (4), or what the rod's material stores."""
     rod = in_state(rod, state)
-    rotation = rotations.logarithm(relative_rotation(state.quaternion))
+    rotation = rotations.logarithm(element_rotation(rod, state.quaternion))
     return moment_energy_density(rod, rotation, node_motion(state))
 
 

@@ -18,6 +18,7 @@ from rodjax.measuring.blocks import over_states
 from rodjax.numerics import rotations
 from rodjax.numerics.compilation import compiled
 from rodjax.rods import balance, topology
+from rodjax.rods.chain import alone
 from rodjax.rods.rod import Rod
 from rodjax.rods.state import State
 from rodjax.rods.strains import curvature, strains
@@ -105,6 +106,7 @@ def linking(scene: Scene, run: Run, extension: float | None = None) -> Linking:
     The drives are those of the scene; `extension` is that of `topology.writhe` [m]. The writhe of a
     ring (`scene.closed`) is that of its closed line: extensions would cross where its ends meet.
     """
+    alone(run.states, "linking")
     _check_counted(scene)
     first = run.state(0).time
     return Linking(run.times, *_topology(run.states, scene, extension, first))
@@ -168,6 +170,7 @@ def apex(
     is continuous up to third order in the element length where the farthest node changes, and
     without meaning while the rod is straight.
     """
+    alone(state, "an apex")
     axis = jnp.asarray(axis, state.position.dtype)
     unit = axis / jnp.linalg.norm(axis)
     offset = state.position - (state.position[0] if origin is None else origin)[None]

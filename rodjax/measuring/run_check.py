@@ -89,7 +89,7 @@ def check(scene: Scene, run: Run, method: GeneralizedAlpha | None = None) -> Fin
 
 
 def _grid(run: Run) -> dict[str, Finding | None]:
-    bend, twist = largest_turns(np.asarray(run.states.quaternion))
+    bend, twist = largest_turns(np.asarray(run.states.quaternion), run.states.breaks)
     return {
         "bend of an element [rad]": _above(
             "bend of an element [rad]", bend, BEND,
@@ -169,7 +169,7 @@ def _moved(scene: Scene, ledger: energy.Ledger) -> float:
     stored = [ledger.strain, ledger.kinetic, ledger.gravity, ledger.contact_energy]
     passed = [ledger.work, ledger.drag_loss, ledger.damping_loss, ledger.projection_loss]
     passed += [ledger.contact_work]
-    elastic = np.mean(np.asarray(scene.rod.stiffness)[:, :2])
+    elastic = np.asarray(scene.rod.mean_bending)
     elastic = elastic / np.sum(np.asarray(scene.rod.length))
     return max(
         float(np.sqrt(np.finfo(elastic.dtype).eps) * elastic),
@@ -199,9 +199,9 @@ def _contact(scene: Scene, run: Run) -> dict[str, Finding | None]:
     settled = float(distance)
     width = force / slope if slope > 0 else np.inf
     allowed = min(settled / 3, np.sqrt(2 * settled * width) / 2)
-    spacing = float(where.spacing)
+    spacing = float(np.max(np.asarray(where.spacing)))
     inner = float(np.max(np.linalg.norm(np.asarray(run.states.force), axis=-1)))
-    bending = float(np.mean(np.asarray(scene.rod.stiffness)[:, :2]))
+    bending = float(scene.rod.mean_bending)
     inner = max(inner, bending / float(np.sum(np.asarray(scene.rod.length))) ** 2)
     topics = {}
     if push > PUSH * inner:

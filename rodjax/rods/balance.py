@@ -92,12 +92,12 @@ def stretch_time(rod: Rod) -> Float[Array, "n 3"] | None:
     if rod.material is None or rod.compliance is None or rod.material.stretch_time is None:
         return None
     time = jnp.broadcast_to(rod.material.stretch_time, rod.length.shape)
-    return jnp.where(rod.compliance > 0, time[:, None], 0.0)
+    return rod.at_breaks(jnp.where(rod.compliance > 0, time[:, None], 0.0), 0.0)
 
 
 def force_strain_rate(rod: Rod, kinematics: Strains, motion: NodeMotion) -> Float[Array, "n 3"]:
     """g', zero in rigid motion [1/s]."""
-    edge = (motion.velocity[1:] - motion.velocity[:-1]) / rod.length[:, None]
+    edge = (motion.velocity[1:] - motion.velocity[:-1]) / rod.gauge_length[:, None]
     spin = motion.angular_velocity
     across = jnp.einsum("nji,nj->ni", kinematics.frame, edge)
     return _strain_rate(
@@ -110,7 +110,7 @@ def _strain_rate(rod, rotation, stretch, across, first, second, time):
     found = across - rotations.cross(middle_spin(rotation, first, second), stretch)
     if rod.torque_per_tension is None:
         return found
-    twisting = rotation_rate(rotation, first, second)[:, 2] / rod.length
+    twisting = rotation_rate(rotation, first, second)[:, 2] / rod.gauge_length
     if rod.actuation is not None:
         twisting = twisting - _rate_of(lambda t: natural_curvature(rod, t)[:, 2], time)
     return found + along_tangent(rod.torque_per_tension * twisting)
@@ -161,8 +161,8 @@ def scatter(first: Float[Array, "n *k"], second: Float[Array, "n *k"]) -> Float[
     return jnp.concatenate([first, zero]) + jnp.concatenate([zero, second])
 
 
-def _kinematic_maps(kinematics: Strains):
-    """A and [N^T, N] of every element."""
+def _kinematic_maps(rod: Rod, kinematics: Strains):
+    """A and [N^T, N] of every element; the latter zero where there is none."""
     phi = kinematics.rotation
     squared = jnp.sum(phi * phi, -1)[:, None, None]
     skew = rotations.hat(phi)
@@ -170,7 +170,8 @@ def _kinematic_maps(kinematics: Strains):
     outer = phi[:, :, None] * phi[:, None, :] - squared * eye  # hat(phi)^2
     a = eye + 0.5 * skew + rotations.inverse_tangent_coefficient(squared) * outer
     turn = rotations.midframe_coefficient(squared) * skew
-    return a, jnp.concatenate([0.5 * eye - turn, 0.5 * eye + turn], 2)
+    spin = jnp.concatenate([0.5 * eye - turn, 0.5 * eye + turn], 2)
+    return a, rod.at_breaks(spin, 0.0)
 
 
 def constraint_tangent(rod: Rod, kinematics: Strains) -> ElementTangent:
@@ -178,7 +179,7 @@ def constraint_tangent(rod: Rod, kinematics: Strains) -> ElementTangent:
 
     With a mass matrix on the nodes it makes the system for accelerations and for projections.
     """
-    a, spin = _kinematic_maps(kinematics)
+    a, spin = _kinematic_maps(rod, kinematics)
     constraint_spin = _constraint_spin(rod, kinematics, a, spin)
     zero = jnp.zeros((rod.elements, 6, 3), spin.dtype)
     return ElementTangent(
@@ -197,7 +198,7 @@ def _constraint_spin(rod: Rod, kinematics: Strains, a, spin) -> Float[Array, "n 
     if rod.torque_per_tension is None:
         return found
     twist = jnp.concatenate([-jnp.swapaxes(a, 1, 2), a], 2)[:, 2]
-    return found.at[:, 2].add((rod.torque_per_tension / rod.length)[:, None] * twist)
+    return found.at[:, 2].add((rod.torque_per_tension / rod.gauge_length)[:, None] * twist)
 
 
 def _damped_constraint(
@@ -206,12 +207,12 @@ def _damped_constraint(
     """Derivatives of T g' by the edge (n, 3, 3) and by the spins (n, 3, 6) in a step."""
     time = stretch_time(rod)
     assert time is not None
-    edge = (motion.velocity[1:] - motion.velocity[:-1]) / rod.length[:, None]
+    edge = (motion.velocity[1:] - motion.velocity[:-1]) / rod.gauge_length[:, None]
     across = lambda v: jnp.einsum("nji,nj->ni", kinematics.frame, v)
     act = lambda matrix, v: jnp.einsum("nij,nj->ni", matrix, v)
 
     def rate(z):
-        moved, turned = across(z[:, :3]) / rod.length[:, None], act(spin, z[:, 3:])
+        moved, turned = across(z[:, :3]) / rod.gauge_length[:, None], act(spin, z[:, 3:])
         rate = across(edge)
         rate = rate + moving.by_velocity * moved + rotations.cross(rate, turned)
         stretch = kinematics.stretch
@@ -249,7 +250,7 @@ def element_tangent(
     hat = rotations.hat
     transpose = lambda m: jnp.swapaxes(m, 1, 2)
 
-    a, spin = _kinematic_maps(kinematics)
+    a, spin = _kinematic_maps(rod, kinematics)
     once = rotations.cross(phi, q)
     twice = rotations.cross(phi, once)
     slope = rotations.inverse_tangent_slope(squared)[:, :, 0] * twice - rotations.midframe_slope(
@@ -265,11 +266,11 @@ def element_tangent(
     alike = 0.5 * hat(q)
     by_rate = None
     if constitution.diagonal(rod):
-        bend = (rod.stiffness / rod.length[:, None])[:, None, :]
+        bend = (rod.stiffness / rod.gauge_length[:, None])[:, None, :]
         pushed = a * bend, transpose(a) * bend
     else:
         by_curvature, by_rate = constitution.moment_slopes(rod, phi, motion)
-        bend = by_curvature / ds
+        bend = by_curvature / rod.gauge_length[:, None, None]
         pushed = a @ bend, transpose(a) @ bend
     by_phi = jnp.concatenate([alike - opposite - pushed[0], alike + opposite + pushed[1]], 1)
     phi_spin = jnp.concatenate([-transpose(a), a], 2)
@@ -283,13 +284,13 @@ def element_tangent(
 
         def rate(z):
             turned = phi + jnp.einsum("nij,nj->ni", phi_spin, z)
-            return rotation_rate(turned, *node_spins(motion, moving, z)) / rod.length[:, None]
+            return rotation_rate(turned, *node_spins(motion, moving, z)) / rod.gauge_length[:, None]
 
         rate_spin = row_jacobian(rate, jnp.zeros((rod.elements, 6), phi.dtype))
         moment_spin = moment_spin + transpose(phi_spin) @ (by_rate @ rate_spin)
     if moving is not None and stretch_time(rod) is not None:
         slopes = _damped_constraint(rod, kinematics, motion, moving, spin, phi_spin)
-        constraint_edge = transpose(kinematics.frame) / ds + slopes[0]
+        constraint_edge = transpose(kinematics.frame) / rod.gauge_length[:, None, None] + slopes[0]
         constraint_spin = constraint_spin + slopes[1]
     return ElementTangent(
         frame=kinematics.frame,

@@ -14,7 +14,7 @@ from rodjax.numerics import rotations
 from rodjax.rods.material import ElementMotion, Recalled, linear_moment, stiffness_matrix
 from rodjax.rods.rod import Rod
 from rodjax.rods.state import Moving, NodeMotion, State
-from rodjax.rods.strains import relative_rotation
+from rodjax.rods.strains import element_rotation
 
 
 def natural_curvature(rod: Rod, time: Float[Array, ""]) -> Float[Array, "n 3"]:
@@ -54,12 +54,12 @@ def element_motion(rod: Rod, rotation: Float[Array, "n 3"], motion: NodeMotion) 
     rate = jnp.zeros_like(rotation)
     if rod.material.viscous:
         spin = motion.angular_velocity
-        rate = rotation_rate(rotation, spin[:-1], spin[1:]) / rod.length[:, None]
+        rate = rotation_rate(rotation, spin[:-1], spin[1:]) / rod.gauge_length[:, None]
     return ElementMotion(
         rod.midpoints,
-        rod.stiffness,
+        rod.at_breaks(rod.stiffness, 1.0),  # where nothing is, whatever comes of it is left out
         rod.coupling,
-        rotation / rod.length[:, None],
+        rotation / rod.gauge_length[:, None],
         natural_curvature(rod, motion.time),
         rate,
         motion.time,
@@ -68,7 +68,7 @@ def element_motion(rod: Rod, rotation: Float[Array, "n 3"], motion: NodeMotion) 
 
 def seen_by_material(rod: Rod, motion: NodeMotion) -> ElementMotion:
     """`element_motion` of a motion."""
-    rotation = rotations.logarithm(relative_rotation(motion.quaternion))
+    rotation = rotations.logarithm(element_rotation(rod, motion.quaternion))
     return element_motion(rod, rotation, motion)
 
 
@@ -89,8 +89,9 @@ def internal_moment(
 ) -> Float[Array, "n 3"]:
     """q = B (kappa - kappa0), Eq. (3), or what the rod's material says [N m]."""
     if rod.material is not None:
-        return rod.material.moment(element_motion(rod, rotation, motion))
-    change = rotation / rod.length[:, None] - natural_curvature(rod, motion.time)
+        moment = rod.material.moment(element_motion(rod, rotation, motion))
+        return rod.at_breaks(moment, 0.0)
+    change = rotation / rod.gauge_length[:, None] - natural_curvature(rod, motion.time)
     return linear_moment(rod.stiffness, rod.coupling, change)
 
 
@@ -100,7 +101,8 @@ def moment_slopes(
     """Derivatives of q by the curvature, and by its rate where a material is viscous."""
     if rod.material is None:
         return stiffness_matrix(rod.stiffness, rod.coupling), None
-    by_curvature, by_rate = rod.material.slopes(element_motion(rod, rotation, motion))
+    slopes = rod.material.slopes(element_motion(rod, rotation, motion))
+    by_curvature, by_rate = (rod.at_breaks(slope, 0.0) for slope in slopes)
     return by_curvature, by_rate if rod.material.viscous else None
 
 
@@ -113,7 +115,7 @@ def shortening(rod: Rod, rotation: Float[Array, "n 3"], time: Float[Array, ""]):
     """b tau along the tangent, of a cable that shortens as it is twisted; None of others."""
     if rod.torque_per_tension is None:
         return None
-    twist = rotation[:, 2] / rod.length - natural_curvature(rod, time)[:, 2]
+    twist = rotation[:, 2] / rod.gauge_length - natural_curvature(rod, time)[:, 2]
     return along_tangent(rod.torque_per_tension * twist)
 
 
@@ -146,7 +148,7 @@ def moment_energy_density(
             return density
         zero = jnp.zeros_like(density)
         return jnp.stack([density, zero, zero], 1)
-    change = rotation / rod.length[:, None] - natural_curvature(rod, motion.time)
+    change = rotation / rod.gauge_length[:, None] - natural_curvature(rod, motion.time)
     if rod.coupling is None:
         return 0.5 * rod.stiffness * change**2
     return 0.5 * change * linear_moment(rod.stiffness, rod.coupling, change)

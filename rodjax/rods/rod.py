@@ -2,12 +2,13 @@
 
 Node i = 0..n carries a position and a cross-section frame; element i between the nodes i and
 i + 1 carries the strains. Section properties are constant within an element, so a jump of B(s)
-at a node is exact.
+at a node is exact. Several rods may stand on one axis of nodes, see `chain`.
 """
 
 import dataclasses
+import itertools
 import warnings
-from typing import Any
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -15,6 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from rodjax.inputs.argument_types import AnyArray
 from rodjax.inputs.brief import named
 from rodjax.inputs.schedules import AbstractSchedule
 from rodjax.inputs.user_functions import returned
@@ -43,6 +45,28 @@ def _as_frames(value) -> Any:
     with np.errstate(all="ignore"):  # the check will refuse what is not finite
         signed = of_one_sign(given)
     return frames if np.array_equal(signed, given) else jnp.asarray(signed)
+
+
+class Part(NamedTuple):
+    """Where a rod stands among the nodes of several, its first and last node."""
+
+    first: int
+    last: int
+
+    @property
+    def nodes(self) -> slice:
+        """Its nodes."""
+        return slice(self.first, self.last + 1)
+
+    @property
+    def elements(self) -> slice:
+        """Its elements."""
+        return slice(self.first, self.last)
+
+
+def parts_of(breaks: tuple[int, ...], elements: int) -> tuple[Part, ...]:
+    """Where each of several rods stands, of which these elements are none."""
+    return tuple(map(Part, (0, *(i + 1 for i in breaks)), (*breaks, elements)))
 
 
 class Rod(eqx.Module):
@@ -75,6 +99,8 @@ class Rod(eqx.Module):
             and the tension N, and the stretch N/EA - b tau [m]; or None.
         material: how elements resist, where not linearly; or None.
         actuation: schedule of what is added to kappa0, three components or (n, 3) [1/m]; or None.
+        breaks: elements that are none, between the last node of a rod and the first of the next
+            where several are laid end to end (`chain`); their length and stiffness are zero.
     """
 
     position: Float[Array, "nodes 3"] = eqx.field(converter=as_float)
@@ -93,6 +119,7 @@ class Rod(eqx.Module):
     )
     material: AbstractMaterial | None = eqx.field(converter=as_traced, default=None)
     actuation: AbstractSchedule | None = None
+    breaks: tuple[int, ...] = eqx.field(static=True, default=())
 
     def __check_init__(self):
         check_numbers(length=self.length)
@@ -133,11 +160,12 @@ class Rod(eqx.Module):
                     f" got {found.dtype}"
                 )
             if known(value):
-                _check_values(name, np.asarray(value))
+                _check_values(name, np.delete(np.asarray(value), self._left_out(name), 0))
         if self.mass is None and self.rotary_inertia is not None:
             raise ValueError(
                 "rotary_inertia: a rod without mass has none; pass rotary_inertia=None"
             )
+        self._check_breaks()
         self._check_slender()
         self._check_positive_definite()
         self._check_material()
@@ -148,6 +176,7 @@ class Rod(eqx.Module):
             return
         with jax.ensure_compile_time_eval():
             matrices = np.asarray(stiffness_matrix(self.stiffness, self.coupling))
+            matrices = self.solid(matrices)
         least = np.linalg.eigvalsh(matrices)[:, 0]
         if not np.all(least > 0):
             i = int(np.argmin(least))
@@ -176,6 +205,23 @@ class Rod(eqx.Module):
                 f" twist, or {(self.elements, 3)}, a row an element; got shape {found}"
             )
 
+    def _left_out(self, name: str) -> list[int]:
+        """The rows that are not checked, of elements that are none."""
+        return [] if name in ("position", "quaternion") else list(self.breaks)
+
+    def _check_breaks(self):
+        if not isinstance(self.breaks, tuple):
+            raise ValueError(f"breaks: give a tuple of element numbers, got {self.breaks!r}")
+        edges = (-1, *self.breaks, self.elements)
+        if any(after - before < 3 for before, after in itertools.pairwise(edges)):
+            raise ValueError(
+                f"breaks: every rod needs at least 2 elements, got {self.breaks} of {self.elements}"
+            )
+        index = list(self.breaks)
+        for name, value in (("length", self.length), ("stiffness", self.stiffness)):
+            if index and known(value) and np.any(np.asarray(value)[index] != 0):
+                raise ValueError(f"{name}: must be zero in {self.breaks}, which are no elements")
+
     def _check_slender(self):
         if not (known(self.diameter) and known(self.length)):
             return
@@ -191,9 +237,10 @@ class Rod(eqx.Module):
 
     def __repr__(self) -> str:
         given = {f.name: getattr(self, f.name) for f in dataclasses.fields(self)}
-        del given["position"], given["quaternion"], given["length"]
+        del given["position"], given["quaternion"], given["length"], given["breaks"]
         if known(self.length) and self.length.ndim == 1:
             size = {"elements": self.elements, "length": np.sum(np.asarray(self.length))}
+            size |= {"rods": len(self.breaks) + 1} if self.breaks else {}
         else:
             size = {"length": self.length}
         return named("Rod", {**size, **given})
@@ -202,6 +249,38 @@ class Rod(eqx.Module):
     def elements(self) -> int:
         """Number of elements n."""
         return self.length.shape[0]
+
+    @property
+    def parts(self) -> tuple[Part, ...]:
+        """Where each of the rods stands that are laid end to end; of a rod by itself all of it."""
+        return parts_of(self.breaks, self.elements)
+
+    def solid(self, values: Float[AnyArray, "n *k"]) -> Float[AnyArray, "m *k"]:
+        """The rows of the elements that are: all of them but `breaks`."""
+        if not self.breaks:
+            return values
+        return values[np.delete(np.arange(self.elements), list(self.breaks))]
+
+    def at_breaks(self, values: Float[Array, "n *k"], row) -> Float[Array, "n *k"]:
+        """Values of the elements with this row where there is none."""
+        if not self.breaks:
+            return values
+        return values.at[np.array(self.breaks)].set(jnp.asarray(row, values.dtype))
+
+    @property
+    def gauge_length(self) -> Float[Array, " n"]:
+        """The length that strains of an element are taken over: its own, 1 where there is none."""
+        return self.at_breaks(self.length, 1.0)
+
+    @property
+    def mean_length(self) -> Float[Array, ""]:
+        """Mean rest length of an element [m]."""
+        return jnp.mean(self.solid(self.length))
+
+    @property
+    def mean_bending(self) -> Float[Array, ""]:
+        """Mean of A1 and A2 over the elements [N m^2]."""
+        return jnp.mean(self.solid(self.stiffness)[:, :2])
 
     @property
     def node_length(self) -> Float[Array, " nodes"]:

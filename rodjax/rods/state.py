@@ -40,6 +40,7 @@ class State(eqx.Module):
         force: (f1, f2, f3) of the elements, f3 along the tangent, tension positive [N].
         settling: a count of steps.
         memory: what loads and material remember; None in scenes where nothing does.
+        breaks: of several rods the elements that are none, see `Rod.breaks` and `states_of`.
     """
 
     time: Float[Array, ""]
@@ -52,6 +53,7 @@ class State(eqx.Module):
     settling: Int[Array, ""] | None = None
     jerk: Float[Array, "nodes 6"] | None = None
     memory: Memory | None = None
+    breaks: tuple[int, ...] = eqx.field(static=True, default=())
 
     @property
     def velocity(self) -> Float[Array, "... nodes 3"]:

@@ -27,13 +27,18 @@ class Strains(NamedTuple):
 
 
 def relative_rotation(quaternion: Float[Array, "nodes 4"]) -> Float[Array, "n 4"]:
-    """q_i^-1 q_{i+1} of every element."""
+    """q_i^-1 q_{i+1} of successive frames."""
     return rotations.multiply(rotations.conjugate(quaternion[:-1]), quaternion[1:])
 
 
-def wound(quaternion: Float[Array, "nodes 4"]) -> Bool[Array, ""]:
+def element_rotation(rod: Rod, quaternion: Float[Array, "nodes 4"]) -> Float[Array, "n 4"]:
+    """q_i^-1 q_{i+1} of every element; no rotation where there is none (`Rod.breaks`)."""
+    return rod.at_breaks(relative_rotation(quaternion), (1.0, 0.0, 0.0, 0.0))
+
+
+def wound(rod: Rod, quaternion: Float[Array, "nodes 4"]) -> Bool[Array, ""]:
     """Whether an element has turned by nearly a revolution, where its rotation vector jumps."""
-    return jnp.min(relative_rotation(quaternion)[:, 0]) < _FULLY_WOUND
+    return jnp.min(element_rotation(rod, quaternion)[:, 0]) < _FULLY_WOUND
 
 
 def halfway(relative: Float[Array, "n 4"]) -> Float[Array, "n 4"]:
@@ -51,15 +56,20 @@ def element_quaternions(quaternion: Float[Array, "nodes 4"]) -> Float[Array, "n 
 def strains(
     rod: Rod, position: Float[Array, "nodes 3"], quaternion: Float[Array, "nodes 4"]
 ) -> Strains:
-    """Strains of every element of a configuration."""
-    relative = relative_rotation(quaternion)
+    """Strains of every element of a configuration.
+
+    Where there is no element (`Rod.breaks`) they are those at rest, and the frame is zero, so that
+    its force acts on no node.
+    """
+    relative = element_rotation(rod, quaternion)
     frame = rotations.matrix(rotations.multiply(quaternion[:-1], halfway(relative)))
-    edge = (position[1:] - position[:-1]) / rod.length[:, None]
-    stretch = jnp.einsum("nji,nj->ni", frame, edge)
+    frame = rod.at_breaks(frame, 0.0)
+    edge = (position[1:] - position[:-1]) / rod.gauge_length[:, None]
+    stretch = rod.at_breaks(jnp.einsum("nji,nj->ni", frame, edge), (0.0, 0.0, 1.0))
     # the barrier keeps XLA from evaluating the rotations anew in every kernel that reads them
     return Strains(*lax.optimization_barrier((rotations.logarithm(relative), frame, stretch)))
 
 
 def curvature(rod: Rod, quaternion: Float[Array, "nodes 4"]) -> Float[Array, "n 3"]:
     """kappa of every element in its own frame [1/m]."""
-    return rotations.logarithm(relative_rotation(quaternion)) / rod.length[:, None]
+    return rotations.logarithm(element_rotation(rod, quaternion)) / rod.gauge_length[:, None]

@@ -6,7 +6,7 @@ from jaxtyping import Array, Float
 
 from rodjax.numerics import rotations
 from rodjax.rods.constitution import natural_curvature
-from rodjax.rods.strains import relative_rotation
+from rodjax.rods.strains import element_rotation
 
 
 def derivatives(
@@ -21,7 +21,7 @@ def derivatives(
     """
     cross = rotations.cross
     across = lambda v: jnp.einsum(
-        "nji,nj->ni", kinematics.frame, (v[1:, :3] - v[:-1, :3]) / rod.length[:, None]
+        "nji,nj->ni", kinematics.frame, (v[1:, :3] - v[:-1, :3]) / rod.gauge_length[:, None]
     )
     pure = lambda v: jnp.concatenate([jnp.zeros_like(v[:, :1]), v], 1)
     mean = lambda v: 0.5 * (v[:-1, 3:] + v[1:, 3:])
@@ -29,19 +29,20 @@ def derivatives(
     before = lambda v, r: rotations.multiply(pure(v[:-1, 3:]), r)
     after = lambda r, v: rotations.multiply(r, pure(v[1:, 3:]))
 
-    relative = relative_rotation(quaternion)
+    relative = element_rotation(rod, quaternion)
     over = 2 * (1 + relative[:, :1])
     u = relative[:, 1:] / over
     spin = mean(rate) + cross(u, jump(rate))
+    still = lambda values: rod.at_breaks(values, 0.0)
     stretch, edge = kinematics.stretch, across(rate)
     stretch1 = edge - cross(spin, stretch)
     coupled = rod.torque_per_tension is not None
     if order == 1 and not coupled:
-        return [stretch1]
+        return [still(stretch1)]
 
     relative1 = 0.5 * (after(relative, rate) - before(rate, relative))
     if order == 1:
-        return _with_twist(rod, [stretch1], relative, relative1)
+        return _with_twist(rod, [still(stretch1)], relative, relative1)
     over1 = 2 * relative1[:, :1]
     u1 = (relative1[:, 1:] - u * over1) / over
     spin1 = mean(acceleration) + cross(u1, jump(rate)) + cross(u, jump(acceleration))
@@ -49,17 +50,17 @@ def derivatives(
     edge1 = pull - cross(spin, edge)
     stretch2 = edge1 - cross(spin1, stretch) - cross(spin, stretch1)
     if order == 2 and not coupled:
-        return [stretch1, stretch2]
+        return [still(stretch1), still(stretch2)]
 
     relative2 = after(relative1, rate) + after(relative, acceleration)
     relative2 = 0.5 * (relative2 - before(acceleration, relative) - before(rate, relative1))
     if order == 2:
-        return _with_twist(rod, [stretch1, stretch2], relative, relative1, relative2)
+        return _with_twist(rod, [still(stretch1), still(stretch2)], relative, relative1, relative2)
     u2 = (relative2[:, 1:] - 2 * u1 * over1 - 2 * u * relative2[:, :1]) / over
     spin2 = cross(u2, jump(rate)) + 2 * cross(u1, jump(acceleration))
     edge2 = -cross(spin, pull) - cross(spin1, edge) - cross(spin, edge1)
     stretch3 = edge2 - cross(spin2, stretch) - 2 * cross(spin1, stretch1) - cross(spin, stretch2)
-    found = [stretch1, stretch2, stretch3]
+    found = [still(stretch1), still(stretch2), still(stretch3)]
     if not coupled:
         return found
     # of constant accelerations but for what the relative rotation makes of them
@@ -70,7 +71,7 @@ def derivatives(
 
 def _with_twist(rod, found, relative, *rates) -> list[Float[Array, "n 3"]]:
     """Derivatives of gamma with those of b kappa_3 added, of relative rotations and their rates."""
-    twist = lambda r: rotations.logarithm(r)[:, 2] * (rod.torque_per_tension / rod.length)
+    twist = lambda r: rotations.logarithm(r)[:, 2] * (rod.torque_per_tension / rod.gauge_length)
     along = lambda values: jnp.stack([jnp.zeros_like(values)] * 2 + [values], 1)
     function, arguments, result = twist, (relative,), []
     for before, rate in zip(found, rates, strict=True):

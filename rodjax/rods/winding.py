@@ -6,6 +6,7 @@ from jaxtyping import Array, Bool, Float
 
 from rodjax.numerics import rotations
 from rodjax.rods import topology
+from rodjax.rods.chain import alone
 from rodjax.rods.state import State
 from rodjax.rods.strains import element_quaternions
 
@@ -20,6 +21,7 @@ def twist(state: State) -> Float[Array, ""]:
 
     Right as long as no element is twisted by a revolution (a step refuses 0.9 of one).
     """
+    alone(state, "twist")
     return topology.twist(
         state.position,
         element_quaternions(state.quaternion),
@@ -34,6 +36,7 @@ def writhe(state: State, extension: Float[Array, ""] | float | None = None) -> F
 
     See `topology.writhe`.
     """
+    alone(state, "writhe")
     return topology.writhe(
         state.position,
         extension=extension,

@@ -26,4 +26,5 @@ def placing(scene: Scene, time: Number | Float[Array, ""] = 0.0) -> State:
     force = jnp.zeros((rod.elements, 3), dtype)
     now = jnp.asarray(time, dtype)
     memory = scene.first_memory(at_rest(now, rod.position, rod.quaternion))
-    return State(now, rod.position, rod.quaternion, rate, rate, rate, force, memory=memory)
+    still = rate, rate, rate, force
+    return State(now, rod.position, rod.quaternion, *still, memory=memory, breaks=rod.breaks)

@@ -1,6 +1,7 @@
-"""A scene: one rod, what holds it, what loads it, and whether it touches itself."""
+"""A scene: rods, what holds them, what loads them, and whether they touch."""
 
 import dataclasses
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -17,12 +18,15 @@ from rodjax.interactions.contact import Contact
 from rodjax.interactions.interaction import AbstractInteraction
 from rodjax.interactions.load import AbstractLoad
 from rodjax.interactions.self_contact import FoundContact, SelfContact
+from rodjax.rods.chain import chain, rods_of
 from rodjax.rods.constitution import recalled, seen_by_material
 from rodjax.rods.rod import Rod
 from rodjax.rods.state import Memory, NodeMotion, State, node_motion
 from rodjax.scenes import probing
 from rodjax.scenes.holds import Held, Node
 from rodjax.scenes.potentials import check_potential
+
+_FREE = Free()
 
 
 class Found(NamedTuple):
@@ -43,15 +47,45 @@ def _with_arrays(part):
     return jax.tree.map(lambda leaf: as_traced(leaf) if is_number(leaf) else leaf, part)
 
 
+def _as_one(rod: Rod | None, rods: Sequence[Rod]) -> Rod:
+    if rod is not None:
+        raise ValueError("rods: give one rod as `rod` or several as `rods`, not both")
+    if not isinstance(rods, list | tuple):
+        raise ValueError("rods: give a tuple of rods, for one rod (rod,)")
+    return chain(rods)
+
+
+def _ends_of(count: int, first, last) -> tuple[AbstractEnd, AbstractEnd, tuple[AbstractEnd, ...]]:
+    """The scene's ends, and the inner ones in the order of the nodes, of as many rods."""
+    both = {}
+    for name, given in (("first_end", first), ("last_end", last)):
+        if isinstance(given, tuple) and len(given) != count:
+            raise ValueError(f"{name}: give one end for each of {count} rods, got {len(given)}")
+        others = [_FREE] * (count - 1)
+        alone = (given, *others) if name == "first_end" else (*others, given)
+        both[name] = given if isinstance(given, tuple) else alone
+        check_end(**{f"{name}[{i}]": end for i, end in enumerate(both[name])})
+    firsts, lasts = both["first_end"], both["last_end"]
+    inner = [end for pair in zip(lasts[:-1], firsts[1:], strict=True) for end in pair]
+    return firsts[0], lasts[-1], tuple(inner)
+
+
 class Scene(eqx.Module):
     """Everything that is given; what is None or empty is absent from the traced program.
 
+    Of several rods `Scene(rods=(a, b))` is made, which stand on one axis of nodes (`rods.chain`):
+    those of a, then those of b. `first_end` is then at the first rod's s = 0 and `last_end` at the
+    last rod's s = L; a tuple of ends has one for each rod. `rods` and `states_of` take a scene and
+    its states apart again.
+
     Attributes:
-        rod: the rod, at rest and as it is placed at first.
+        rod: the rod, at rest and as it is placed at first; several as one.
         first_end, last_end: what holds it at s = 0 and at s = L.
         loads: what acts on it, a tuple of loads.
-        contact: whether and how it touches itself; None for strands that pass through each other.
+        contact: whether and how it touches itself, and rods each other; None for strands that pass
+            through each other.
         supports: what holds it between its ends, a tuple of `Support`.
+        inner_ends: of several rods, the last end of the first, the first of the second, and so on.
     """
 
     rod: Rod
@@ -61,10 +95,28 @@ class Scene(eqx.Module):
     loads: tuple[AbstractLoad, ...] = eqx.field(converter=_with_arrays, default=())
     contact: Contact | None = eqx.field(converter=_with_arrays, default=None)
     supports: tuple[Support, ...] = eqx.field(converter=_with_arrays, default=())
+    inner_ends: tuple[AbstractEnd, ...] = eqx.field(converter=_with_arrays, default=())
 
-    def __post_init__(self):
-        if isinstance(self.contact, Contact) and isinstance(self.rod, Rod):
-            self.contact = self.contact.fitted(self.rod)
+    def __init__(
+        self,
+        rod: Rod | None = None,
+        first_end: AbstractEnd | tuple[AbstractEnd, ...] = _FREE,
+        last_end: AbstractEnd | tuple[AbstractEnd, ...] = _FREE,
+        loads: tuple[AbstractLoad, ...] = (),
+        contact: Contact | None = None,
+        supports: tuple[Support, ...] = (),
+        inner_ends: tuple[AbstractEnd, ...] = (),
+        *,
+        rods: Sequence[Rod] | None = None,
+    ):
+        if rods is not None:
+            rod = _as_one(rod, rods)
+            first_end, last_end, inner_ends = _ends_of(len(rods), first_end, last_end)
+        if isinstance(contact, Contact) and isinstance(rod, Rod):
+            contact = contact.fitted(rod)
+        given = (rod, first_end, last_end, loads, contact, supports, inner_ends)
+        for field, value in zip(dataclasses.fields(self), given, strict=True):
+            setattr(self, field.name, value)
 
     def __check_init__(self):
         self._check_kinds()
@@ -76,14 +128,14 @@ class Scene(eqx.Module):
         for i, load in enumerate(self.loads):
             probing.check_local(load, self.rod, f"loads[{i}]")
             check_potential(load, self.rod, f"loads[{i}]")
+        self._check_supports()
         for held in self.holds:
             probing.check_end(held.end, held.name)
-        self._check_supports()
         if self.rod.mass is None:
             self._check_inertialess()
 
     def _check_kinds(self):
-        one = "give one rod, of straight_rod or curved_rod (a scene has no second)"
+        one = "give one rod, of straight_rod or curved_rod, or several as rods=(one, another)"
         check_instance(Rod, one, rod=self.rod)
         check_end(first_end=self.first_end, last_end=self.last_end)
         if not isinstance(self.loads, tuple):
@@ -95,17 +147,33 @@ class Scene(eqx.Module):
         mend = "give a support such as Support(node, Pinned())"
         named = {f"supports[{i}]": x for i, x in enumerate(self.supports)}
         check_instance(Support, mend, **named)
+        check_instance(
+            AbstractEnd, "give an end such as Free()",
+            **{f"inner_ends[{i}]": end for i, end in enumerate(self.inner_ends)},
+        )  # fmt: skip
+        if len(self.inner_ends) != 2 * len(self.rod.breaks):
+            raise ValueError(
+                f"inner_ends: {len(self.rod.parts)} rods have {2 * len(self.rod.breaks)}, got"
+                f" {len(self.inner_ends)}; give the rods as rods=(one, another)"
+            )
         if self.contact is not None:
             mend = "give Contact(law, segments, cutoff), or None for no contact"
             check_instance(Contact, mend, contact=self.contact)
 
     def _check_supports(self):
-        taken, last = {0: "first_end", self.rod.elements: "last_end"}, self.rod.elements
+        taken = {held.node: held.name for held in self._held_ends}
         for i, support in enumerate(self.supports):
+            name = f"supports[{i}]"
+            if support.rod >= len(self.rod.parts):
+                raise ValueError(
+                    f"{name}: rod: the scene's rods are 0 to {len(self.rod.parts) - 1}, got"
+                    f" {support.rod}"
+                )
             if not known(support.node):
                 continue
-            node, name = int(support.place(last)), f"supports[{i}]"
-            if not 0 <= node <= last:
+            part = self.rod.parts[support.rod]
+            node, last = int(support.place(part)), part.last - part.first
+            if not part.first <= node <= part.last:
                 raise ValueError(
                     f"{name}: node: a rod of {last} elements has the nodes 0 to {last}, or"
                     f" {-last - 1} to -1, got {int(support.node)}"
@@ -130,10 +198,18 @@ class Scene(eqx.Module):
                 raise ValueError(f"{name}: a rod with mass=None needs a positive {name} LinearDrag")
 
     def __repr__(self) -> str:
-        fields = [f.name for f in dataclasses.fields(self) if f.name != "supports" or self.supports]
+        fields = [f.name for f in dataclasses.fields(self)]
+        for name in ("supports", "inner_ends"):
+            if not getattr(self, name):
+                fields.remove(name)
         parts = [f"    {name}={brief(getattr(self, name))}," for name in fields]
         rod = f"    rod={self.rod!r},"
         return "\n".join(["Scene(", rod, *parts[1:], ")"])
+
+    @property
+    def rods(self) -> tuple[Rod, ...]:
+        """The rods by themselves; of several the compliance is zero where it was None."""
+        return rods_of(self.rod)
 
     @property
     def ends(self) -> tuple[AbstractEnd, AbstractEnd]:
@@ -143,10 +219,20 @@ class Scene(eqx.Module):
     @property
     def holds(self) -> tuple[Held, ...]:
         """What holds the rod: both ends, then the supports."""
-        last = self.rod.elements
-        ends = Held("first_end", 0, self.first_end), Held("last_end", last, self.last_end)
-        supports = enumerate(self.supports)
-        return (*ends, *(Held(f"supports[{i}]", x.place(last), x.end) for i, x in supports))
+        parts = self.rod.parts
+        places = (x.place(parts[x.rod]) for x in self.supports)
+        supports = enumerate(zip(places, self.supports, strict=True))
+        held = (Held(f"supports[{i}]", place, x.end) for i, (place, x) in supports)
+        return (*self._held_ends, *held)
+
+    @property
+    def _held_ends(self) -> tuple[Held, ...]:
+        """The ends of all rods, the scene's two first."""
+        first, *inner, last = (node for part in self.rod.parts for node in part)
+        ends = Held("first_end", first, self.first_end), Held("last_end", last, self.last_end)
+        rods = range(len(inner) // 2)
+        names = (name for i in rods for name in (f"last_end[{i}]", f"first_end[{i + 1}]"))
+        return (*ends, *map(Held, names, inner, self.inner_ends))
 
     @property
     def holding(self) -> str:
@@ -305,18 +391,19 @@ class Scene(eqx.Module):
 def directions(scene: Scene, time: Float[Array, ""]) -> Float[Array, "h 6 6"]:
     """Projectors that the kinds of what holds the rod say, wherever that is."""
     dtype = scene.rod.position.dtype
-    ends = (*scene.ends, *(support.end for support in scene.supports))
+    ends = (*scene.ends, *scene.inner_ends, *(support.end for support in scene.supports))
     return jnp.stack([end.projector(time).astype(dtype) for end in ends])
 
 
 def projectors(scene: Scene, time: Float[Array, ""]) -> Float[Array, "h 6 6"]:
     """Projectors of what holds the rod, for a step that starts at `time`."""
-    found, last = directions(scene, time), scene.rod.elements
-    for i, support in enumerate(scene.supports):
+    found = directions(scene, time)
+    for i, support in enumerate(scene.supports, 2 + len(scene.inner_ends)):
         if not known(support.node):  # a traced node that cannot be held makes no number
-            node = support.place(last)
-            others = [other for j, other in enumerate(scene.held_nodes) if j != i + 2]
+            part = scene.rod.parts[support.rod]
+            node = support.place(part)
+            others = [other for j, other in enumerate(scene.held_nodes) if j != i]
             taken = jnp.any(jnp.stack([node == other for other in others]))
-            wrong = taken | (node < 0) | (node > last)
-            found = found.at[i + 2].set(jnp.where(wrong, jnp.nan, found[i + 2]))
+            wrong = taken | (node < part.first) | (node > part.last)
+            found = found.at[i].set(jnp.where(wrong, jnp.nan, found[i]))
     return found

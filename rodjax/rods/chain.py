@@ -1,0 +1,195 @@
+"""Several rods laid end to end on one axis of nodes.
+
+Between the last node of a rod and the first of the next stands an element that is none: it has no
+length and no stiffness, its strain is that of an element at rest whatever its nodes do, and its
+internal force is zero. So a system of rods is one rod to all that is local to nodes and elements,
+and the same block tridiagonal matrix solves it. See `Rod.breaks`.
+"""
+
+import functools
+from collections.abc import Sequence
+
+import jax
+import jax.numpy as jnp
+
+from rodjax.inputs.validation import check_instance
+from rodjax.rods.rod import Part, Rod, parts_of
+from rodjax.rods.state import State
+
+
+def chain(rods: Sequence[Rod]) -> Rod:
+    """The rods laid end to end; one rod alone is itself.
+
+    Args:
+        rods: at least one, each of its own length, section and grid, and all in one precision.
+
+    Raises:
+        ValueError: they are of two precisions, or a property is None for some of them only.
+    """
+    mend = "give rods of straight_rod or curved_rod"
+    check_instance(Rod, mend, **{f"rods[{i}]": rod for i, rod in enumerate(rods)})
+    if not rods:
+        raise ValueError("rods: give at least one")
+    if len(rods) == 1:
+        return rods[0]
+    dtypes = {rod.position.dtype.name for rod in rods}
+    if len(dtypes) > 1:
+        raise ValueError(f"rods: must be of one precision, got {' and '.join(sorted(dtypes))}")
+    for name in ("mass", "rotary_inertia", "diameter", "area"):
+        have = [i for i, rod in enumerate(rods) if getattr(rod, name) is not None]
+        if have and len(have) < len(rods):
+            lacking = min(set(range(len(rods))) - set(have))
+            raise ValueError(
+                f"rods[{lacking}]: {name}: it is None, and given for rods[{have[0]}]; give it to"
+                " all rods of a scene, or to none"
+            )
+    for name in ("material", "actuation"):
+        if any(getattr(rod, name) is not getattr(rods[0], name) for rod in rods):
+            raise ValueError(
+                f"rods: {name}: give all rods of a scene the same object (one for each element's"
+                " numbers is not shared out yet), or none"
+            )
+    breaks, nodes = [], 0
+    for rod in rods:
+        breaks += [nodes + i for i in rod.breaks]
+        nodes += rod.elements + 1
+        breaks.append(nodes - 1)
+
+    def laid(name, between=0.0):
+        """A property of all elements, with what stands between rods."""
+        if getattr(rods[0], name) is None:
+            return None
+        rows = [getattr(rods[0], name)]
+        for rod in rods[1:]:
+            own = getattr(rod, name)
+            rows += [jnp.full_like(own[:1], between), own]
+        return jnp.concatenate(rows)
+
+    rows = [_compliance(rods[0])]
+    for rod in rods[1:]:
+        # any number makes the force of an element without strain zero; this one is of a size with
+        # the others
+        soft = rod.length[:1, None] ** 2 / rod.stiffness[:1, :1]
+        rows += [jnp.broadcast_to(soft, (1, 3)), _compliance(rod)]
+    return Rod(
+        position=jnp.concatenate([rod.position for rod in rods]),
+        quaternion=jnp.concatenate([rod.quaternion for rod in rods]),
+        length=laid("length"),
+        stiffness=laid("stiffness"),
+        natural_curvature=laid("natural_curvature"),
+        mass=laid("mass"),
+        rotary_inertia=laid("rotary_inertia"),
+        compliance=jnp.concatenate(rows),
+        diameter=_laid_diameter(rods),
+        area=laid("area"),
+        coupling=_laid_or_zero(rods, "coupling"),
+        torque_per_tension=_laid_or_zero(rods, "torque_per_tension"),
+        material=rods[0].material,
+        actuation=rods[0].actuation,
+        breaks=tuple(breaks[:-1]),
+    )
+
+
+def _compliance(rod: Rod):
+    return jnp.zeros_like(rod.stiffness) if rod.compliance is None else rod.compliance
+
+
+def _laid_or_zero(rods: Sequence[Rod], name: str):
+    """A property that is zero where it is None, of all elements; None if no rod has it."""
+    if all(getattr(rod, name) is None for rod in rods):
+        return None
+    rows = []
+    for rod in rods:
+        value = getattr(rod, name)
+        if value is None:
+            value = jnp.zeros_like(rod.stiffness if name == "coupling" else rod.length)
+        rows += [jnp.zeros_like(value[:1]), value]
+    return jnp.concatenate(rows[1:])
+
+
+def _laid_diameter(rods: Sequence[Rod]):
+    """Of an element that is none that of the one after it, so that it is no thinnest of all."""
+    if rods[0].diameter is None:
+        return None
+    rows = [rods[0].diameter]
+    for rod in rods[1:]:
+        assert rod.diameter is not None
+        rows += [rod.diameter[:1], rod.diameter]
+    return jnp.concatenate(rows)
+
+
+def rods_of(rod: Rod) -> tuple[Rod, ...]:
+    """The rods that a chain is made of; of a rod by itself that one.
+
+    Their compliance is an array, zero where it was None.
+    """
+    if not rod.breaks:
+        return (rod,)
+
+    def one(part: Part) -> Rod:
+        of_nodes = lambda value: value[part.nodes]
+        of_elements = lambda value: None if value is None else value[part.elements]
+        return Rod(
+            position=of_nodes(rod.position),
+            quaternion=of_nodes(rod.quaternion),
+            length=of_elements(rod.length),
+            stiffness=of_elements(rod.stiffness),
+            natural_curvature=of_elements(rod.natural_curvature),
+            mass=of_elements(rod.mass),
+            rotary_inertia=of_elements(rod.rotary_inertia),
+            compliance=of_elements(rod.compliance),
+            diameter=of_elements(rod.diameter),
+            area=of_elements(rod.area),
+            coupling=of_elements(rod.coupling),
+            torque_per_tension=of_elements(rod.torque_per_tension),
+            material=rod.material,
+            actuation=rod.actuation,
+        )
+
+    return tuple(map(one, rod.parts))
+
+
+def states_of(state: State) -> tuple[State, ...]:
+    """The states of the rods of a scene by themselves; of one state, or of a run's stacked ones.
+
+    Args:
+        state: of one rod or of several.
+    """
+    if not state.breaks:
+        return (state,)
+
+    def one(part: Part, state: State) -> State:
+        nodes = lambda value: value[part.nodes]
+        return State(
+            state.time,
+            nodes(state.position),
+            nodes(state.quaternion),
+            nodes(state.rate),
+            nodes(state.acceleration),
+            nodes(state.auxiliary),
+            state.force[part.elements],
+            state.settling,
+            None if state.jerk is None else nodes(state.jerk),
+        )
+
+    def taken(part: Part) -> State:
+        of = functools.partial(one, part)
+        for _ in range(state.time.ndim):
+            of = jax.vmap(of)
+        return of(jax.tree.map(jnp.asarray, state))
+
+    return tuple(map(taken, parts_of(state.breaks, state.force.shape[-2])))
+
+
+def alone(state: State, asked: str) -> State:
+    """The state, if it is of one rod.
+
+    Raises:
+        ValueError: it is of several, of which `asked` is not to be had as one.
+    """
+    if state.breaks:
+        raise ValueError(
+            f"state: it is of {len(state.breaks) + 1} rods, and {asked} is of one: give one of"
+            " rodjax.states_of(state)"
+        )
+    return state
