@@ -52,6 +52,9 @@ from rodjax.interactions.contact_laws import DebyeHueckel as DebyeHueckel
 from rodjax.interactions.contact_laws import InversePower as InversePower
 from rodjax.interactions.contact_laws import LennardJones as LennardJones
 from rodjax.interactions.contact_laws import Penalty as Penalty
+from rodjax.interactions.friction import AbstractFriction as AbstractFriction
+from rodjax.interactions.friction import Friction as Friction
+from rodjax.interactions.friction import SlidingFriction as SlidingFriction
 from rodjax.interactions.hard_magnetic import HardMagnetic as HardMagnetic
 from rodjax.interactions.load import AbstractLoad as AbstractLoad
 from rodjax.interactions.loads import DistributedLoad as DistributedLoad
@@ -59,7 +62,14 @@ from rodjax.interactions.loads import Gravity as Gravity
 from rodjax.interactions.loads import LinearDrag as LinearDrag
 from rodjax.interactions.loads import MorisonDrag as MorisonDrag
 from rodjax.interactions.loads import PointLoad as PointLoad
+from rodjax.interactions.obstacles import Obstacle as Obstacle
 from rodjax.interactions.roles import Role as Role
+from rodjax.interactions.shapes import AbstractShape as AbstractShape
+from rodjax.interactions.shapes import Cylinder as Cylinder
+from rodjax.interactions.shapes import HeightField as HeightField
+from rodjax.interactions.shapes import Plane as Plane
+from rodjax.interactions.shapes import SignedDistance as SignedDistance
+from rodjax.interactions.shapes import Sphere as Sphere
 from rodjax.measuring.extrapolation import extrapolate as extrapolate
 from rodjax.measuring.run_check import check as check
 from rodjax.numerics.compilation import jit as jit

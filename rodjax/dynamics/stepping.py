@@ -198,7 +198,8 @@ def advance_to(
     largest = lambda v: jnp.sqrt(jnp.max(jnp.sum(lax.stop_gradient(v) ** 2, 1)))
     codes = []
     for one, its in zip(scene.interactions, found.each, strict=True):
-        codes.append(one.verdict(scene.rod, state.position, new.position, its))
+        there = one.held_at(stop)
+        codes.append(there.verdict(scene.rod, state.position, new.position, its))
     if scene.contact is not None and found.contact is not None and held is not None:
         deep = overlap.too_near(scene.contact, found.contact, held, new.position)
         codes.append(jnp.where(deep, Result.CONTACT_OVERCOME, Result.SUCCESS))

@@ -247,7 +247,7 @@ class Equations(eqx.Module, Generic[Scheme]):
         scene = self.scene
         found = scene.find(position, change) if self.found is None else self.found
         for one, its in zip(scene.interactions, found.each, strict=True):
-            safe = one.safe_fraction(scene.rod, position, change, its)
+            safe = one.held_at(self.time).safe_fraction(scene.rod, position, change, its)
             if safe is not None:
                 scale = jnp.minimum(scale, lax.stop_gradient(safe))
         return scale

@@ -72,6 +72,23 @@ class AbstractInteraction(eqx.Module):
         where = lambda one: one.memory
         return eqx.tree_at(where, self, memory, is_leaf=lambda leaf: leaf is None)
 
+    def lost_before(self) -> Float[Array, ""] | None:
+        """What has been lost by what it remembers [J], besides `lost`; None for nothing."""
+        return None
+
+    def driving(
+        self, exerted: Wrenches, time: Float[Array, ""]
+    ) -> tuple[Float[Array, " k"], Float[Array, " k"]] | None:
+        """Forces by which something is moved that exerts this, and its coordinates at the time.
+
+        Their work is put in, as that of ends that move is. None where nothing is moved.
+        """
+        return None
+
+    def held_at(self, time: Float[Array, ""]) -> "AbstractInteraction":
+        """It as it is at a time, for `safe_fraction` and `verdict`."""
+        return self
+
     def find(
         self,
         rod: Rod,

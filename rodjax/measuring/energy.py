@@ -66,7 +66,7 @@ class Ledger(NamedTuple):
 
     Attributes:
         time: [s]; all that follows [J].
-        drive_work: done by the prescribed motion of ends and supports.
+        drive_work: done by the prescribed motion of ends, supports and obstacles.
         load_work: done by loads whose role is DRIVEN (`Role`).
         bending, torsion: stored by Eq. (4), in A1 and A2, and in C.
         axial: stored in stretch and shear.
@@ -145,6 +145,9 @@ class _Acting(NamedTuple):
     damping: Float[Array, "nodes 6"] | None
     contact: Float[Array, "nodes 6"] | None
     contact_damping: Float[Array, "nodes 6"] | None  # what of it is lost
+    damping_before: Float[Array, ""] | None  # lost so far by what is remembered
+    contact_before: Float[Array, ""] | None
+    driving: tuple  # of what else is moved: forces and coordinates
 
 
 @eqx.filter_jit  # traced once, for its shapes and for the scan
@@ -157,11 +160,16 @@ def _acting(scene: Scene, state: State) -> tuple[_Acting, Found]:
     def book(column, role, wrench):
         column[role] = column[role] + wrench if role in column else wrench
 
-    acting = []
+    acting, before, driving = [], {}, []
     for one, its in zip(scene.interactions, found.each, strict=True):
         exerted = one.exerted(scene.rod, motion, its)
         acting.append(exerted)
         book(by_role, one.role, exerted)
+        so_far, moved = one.lost_before(), one.driving(exerted, state.time)
+        if so_far is not None:
+            book(before, Role.CONTACT if one.role is Role.CONTACT else Role.DAMPING, so_far)
+        if moved is not None:
+            driving.append(moved)
         if one.role in (Role.STORED, Role.CONTACT):
             column = Role.DAMPING if one.role is Role.STORED else Role.CONTACT
             book(lost, column, one.lost(scene.rod, motion, its, exerted))
@@ -174,6 +182,9 @@ def _acting(scene: Scene, state: State) -> tuple[_Acting, Found]:
         lost.get(Role.DAMPING),
         by_role.get(Role.CONTACT),
         lost.get(Role.CONTACT),
+        before.get(Role.DAMPING),
+        before.get(Role.CONTACT),
+        tuple(driving),
     )
     return whole, found
 
@@ -243,14 +254,19 @@ def _interval(carry, after: State, scene: Scene):
 
     held_moved = rows_at(moved, scene.held_nodes)
     constrained = jnp.einsum("eij,ej->ei", projectors(scene, before.time), held_moved)
+    since = lambda a, b: zero if a is None else b - a
+    driven = 0.5 * jnp.sum((old.ends + new.ends) * constrained)
+    for (old_force, start), (force, stop) in zip(old.driving, new.driving, strict=True):
+        driven = driven + 0.5 * jnp.sum((old_force + force) * (stop - start))
     gains = jnp.stack(
         [
-            0.5 * jnp.sum((old.ends + new.ends) * constrained),
+            driven,
             work(old.loads, new.loads),
             -work(old.contact, new.contact),
             _added_mass_loss(scene, before, after) - work(old.drag, new.drag),
-            -work(old.damping, new.damping),
-            -work(old.contact_damping, new.contact_damping),
+            since(old.damping_before, new.damping_before) - work(old.damping, new.damping),
+            since(old.contact_before, new.contact_before)
+            - work(old.contact_damping, new.contact_damping),
         ]
     )
     if booked(scene.rod):

@@ -34,6 +34,7 @@ class Result(enum.IntEnum):
 
     DRIVE_MISSED = 13  # only of runs in which nothing failed
     HELD_TWICE = 14
+    OBSTACLE_PASSED = 15
 
 
 MESSAGES = {
@@ -55,6 +56,10 @@ MESSAGES = {
         "a constraint began that holds the rod twice in some direction, so that its force is not"
         " determined (a straight inextensible rod whose ends can no longer move along it): let one"
         " end slide on, give the rod axial compliance, or begin the hold when the rod is bent"
+    ),
+    Result.OBSTACLE_PASSED: (
+        "a node went through an obstacle in one step, or half a diameter into it; use smaller steps"
+        " (the adaptive rollout takes them by itself), or a stiffer obstacle"
     ),
     Result.INTERRUPTED: "stopped by the user; what was computed until then is kept",
     Result.DRIVE_MISSED: (

@@ -10,7 +10,6 @@ import numpy as np
 
 from rodjax.inputs.validation import all_known
 from rodjax.interactions.load import AbstractLoad
-from rodjax.interactions.loads import Gravity
 from rodjax.interactions.roles import Role
 from rodjax.rods.rod import Rod
 from rodjax.rods.state import NodeMotion, at_rest, moved
@@ -29,7 +28,7 @@ def check_potential(load: AbstractLoad, rod: Rod, name: str) -> None:
     title = f"{name} ({type(load).__name__})"
     if not isinstance(load.role, Role):
         raise ValueError(f"{title}: its role must be a rodjax.Role, got {load.role!r}")
-    if load.role not in _WITH_ENERGY or type(load).__module__ == Gravity.__module__:
+    if load.role not in _WITH_ENERGY or type(load).__module__.startswith("rodjax."):
         return
     if not all_known((load, rod)):
         return

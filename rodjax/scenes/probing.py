@@ -16,7 +16,6 @@ import numpy as np
 
 from rodjax.constraints.ends import AbstractEnd
 from rodjax.interactions.load import AbstractLoad
-from rodjax.interactions.loads import DistributedLoad
 from rodjax.numerics.results import STEP_FAILED
 from rodjax.rods.rod import Rod
 from rodjax.rods.state import NodeMotion
@@ -27,6 +26,9 @@ _ERRORS = (ArithmeticError, LookupError, TypeError, ValueError, *STEP_FAILED)
 # user's functions have around them.
 _PASSED: dict = {}
 _KEPT = 32
+
+# Those of the library keep to it.
+_OWN = "rodjax."
 
 _OF_ZEROS = (
     ". (With the zeros among its parameters as they are it does not; but real numbers may change"
@@ -43,7 +45,7 @@ def check_local(load: AbstractLoad, rod: Rod, name: str) -> None:
     Rows that are not finite tell nothing, nor does a function that cannot be traced.
     """
     function = getattr(load, "function", None)
-    if type(load).__module__ == DistributedLoad.__module__ and function is None:
+    if type(load).__module__.startswith(_OWN) and function is None:
         return
     kind = _kind(load)
     if kind in _PASSED:

@@ -1,0 +1,155 @@
+"""Friction between the surfaces of a rod and of what it touches.
+
+Coulomb's law with the normal force of the same instant. What stays where it is needs an elastic
+stick: forces that follow from a speed alone let it creep.
+"""
+
+import abc
+from typing import NamedTuple
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from rodjax.inputs.validation import (
+    as_float,
+    as_float_or_none,
+    check_not_negative,
+    check_positive,
+    check_scalar,
+    given,
+)
+
+
+class Rubbing(NamedTuple):
+    """What friction sees of the surfaces at the nodes.
+
+    Attributes:
+        load: normal force per length, not negative [N/m].
+        stiffness: of the obstacle, normal force per length and depth [N/m^2].
+        velocity: of the rod's surface relative to the other, tangential [m/s].
+        stretch: of the stick since the surfaces met, as if it did not slip [m].
+    """
+
+    load: Float[Array, " nodes"]
+    stiffness: Float[Array, ""]
+    velocity: Float[Array, "nodes 3"]
+    stretch: Float[Array, "nodes 3"]
+
+
+class AbstractFriction(eqx.Module):
+    """A law of friction."""
+
+    @property
+    @abc.abstractmethod
+    def remembers(self) -> bool:
+        """Whether it stretches a stick, which it remembers."""
+
+    @abc.abstractmethod
+    def traction(self, rubbing: Rubbing) -> Float[Array, "nodes 3"]:
+        """Force on the rod's surface per length [N/m]."""
+
+    @abc.abstractmethod
+    def stretch(self, rubbing: Rubbing) -> Float[Array, "nodes 3"]:
+        """What is left of the stretch where it slips [m]."""
+
+    @abc.abstractmethod
+    def stored(self, rubbing: Rubbing) -> Float[Array, " nodes"]:
+        """Energy per length of the stretched sticks [J/m]."""
+
+    @abc.abstractmethod
+    def slipped(self, rubbing: Rubbing, before: Float[Array, "nodes 3"]) -> Float[Array, " nodes"]:
+        """Energy per length lost by slipping since the sticks were stretched like that [J/m]."""
+
+
+def _lengths(rows: Float[Array, "nodes 3"]) -> Float[Array, "nodes 1"]:
+    """Of vectors, with a zero derivative where they vanish."""
+    squared = jnp.sum(rows**2, 1, keepdims=True)
+    nowhere = squared == 0
+    return jnp.where(nowhere, 0.0, jnp.sqrt(jnp.where(nowhere, 1.0, squared)))
+
+
+class Friction(AbstractFriction):
+    """Coulomb friction with an elastic stick: what is to hold does hold, without creep.
+
+    Each node has an anchor on the other surface. The force per length on it is -k s, s the
+    tangential displacement from the anchor of the surface (spin included, so that a rod may roll),
+    up to mu times the normal force; beyond, the anchor is dragged along. Marine practice, and
+    linear elasticity with perfect plasticity. A rod put down has its anchors where it lies.
+
+    Attributes:
+        coefficient: mu, a number without unit.
+        stick_stiffness: k, force per length and displacement [N/m^2]; None: as much as the
+            obstacle has against depth. A rod at the limit has moved by mu N/k.
+    """
+
+    coefficient: Float[Array, ""] = eqx.field(converter=as_float)
+    stick_stiffness: Float[Array, ""] | None = eqx.field(converter=as_float_or_none, default=None)
+
+    def __check_init__(self):
+        optional = given(stick_stiffness=self.stick_stiffness)
+        check_scalar(coefficient=self.coefficient, **optional)
+        check_not_negative(coefficient=self.coefficient)
+        check_positive(**optional)
+
+    @property
+    def remembers(self):
+        return True
+
+    def _stiffness(self, rubbing: Rubbing):
+        return rubbing.stiffness if self.stick_stiffness is None else self.stick_stiffness
+
+    def traction(self, rubbing):
+        return -self._stiffness(rubbing) * self.stretch(rubbing)
+
+    def stretch(self, rubbing):
+        most = (self.coefficient * rubbing.load / self._stiffness(rubbing))[:, None]
+        length = _lengths(rubbing.stretch)
+        slips = length > most
+        return jnp.where(slips, most / jnp.where(slips, length, 1.0), 1.0) * rubbing.stretch
+
+    def stored(self, rubbing):
+        return 0.5 * self._stiffness(rubbing) * jnp.sum(self.stretch(rubbing) ** 2, 1)
+
+    def slipped(self, rubbing, before):
+        after = self.stretch(rubbing)
+        mean = 0.5 * self._stiffness(rubbing) * (before + after)
+        return jnp.sum(mean * (rubbing.stretch - after), 1)
+
+
+class SlidingFriction(AbstractFriction):
+    """Coulomb friction smoothed by speed: -mu N v/sqrt(|v|^2 + slip^2).
+
+    Without memory, and smooth, so that gradients have no jumps; but what should hold creeps, by up
+    to `slip_speed` or so, and at rest (`equilibrium`) there is none.
+
+    Attributes:
+        coefficient: mu, a number without unit.
+        slip_speed: below it surfaces creep [m/s].
+    """
+
+    coefficient: Float[Array, ""] = eqx.field(converter=as_float)
+    slip_speed: Float[Array, ""] = eqx.field(converter=as_float)
+
+    def __check_init__(self):
+        check_scalar(coefficient=self.coefficient, slip_speed=self.slip_speed)
+        check_not_negative(coefficient=self.coefficient)
+        check_positive(slip_speed=self.slip_speed)
+
+    @property
+    def remembers(self):
+        return False
+
+    def traction(self, rubbing):
+        squared = jnp.sum(rubbing.velocity**2, 1, keepdims=True)
+        direction = rubbing.velocity / jnp.sqrt(squared + self.slip_speed**2)
+        return -self.coefficient * rubbing.load[:, None] * direction
+
+    def stretch(self, rubbing):
+        return jnp.zeros_like(rubbing.stretch)
+
+    def stored(self, rubbing):
+        return jnp.zeros_like(rubbing.load)
+
+    def slipped(self, rubbing, before):
+        return jnp.zeros_like(rubbing.load)
