@@ -196,6 +196,8 @@ class Equations(eqx.Module, Generic[Scheme]):
 
         The lanes of a batch go together while nothing is near in any of them, else one by one.
         """
+        if self.scene.rubs:
+            return newton.iterate_dual(self, x, tolerance, max_iterations)
         if self.found_contact is None:
             return newton.iterate(self, x, tolerance, max_iterations)
         arrays, rest = eqx.partition(self, eqx.is_array)
@@ -214,6 +216,20 @@ class Equations(eqx.Module, Generic[Scheme]):
 
         together = lambda arrays, *given: arrays.found_contact.pairs.count == 0
         return one_by_one(one, (together, uncoupled))(arrays, *given)
+
+    def first_duals(self, x) -> tuple:
+        """What friction's derivative begins with."""
+        motion, rod = self.motion(x), self.scene.rod
+        return tuple(load.first_dual(rod, motion) for load in self.scene.loads)
+
+    def with_duals(self, duals: tuple) -> "Equations[Scheme]":
+        """The equations whose derivative is that of these duals."""
+        return eqx.tree_at(lambda one: one.scene, self, self.scene.with_duals(duals))
+
+    def next_duals(self, before, after) -> tuple:
+        """What follows them after an iteration from one x to another."""
+        motions = self.motion(before), self.motion(after)
+        return tuple(load.next_dual(self.scene.rod, *motions) for load in self.scene.loads)
 
     def without_contact(self) -> "Equations[Scheme]":
         """The equations of strands that do not feel each other."""

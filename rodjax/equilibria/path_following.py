@@ -163,7 +163,11 @@ def follow(
         trial = equations(target, reference, memory, sigma, path.repeats.astype(path.x.dtype))
         # the first time round only the start's modes are counted
         most = jnp.where(opening, 0, max_iterations)
-        x, solved = newton.iterate(trial, trial.guess(force), tolerance, most, patience)
+        guess = trial.guess(force)
+        if scene.rubs:
+            x, solved = newton.iterate_dual(trial, guess, tolerance, most)
+        else:
+            x, solved = newton.iterate(trial, guess, tolerance, most, patience)
         code = lambda bad, which: jnp.where(bad, which, Result.SUCCESS)
         result = results.join(
             solved.result,

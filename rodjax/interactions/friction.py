@@ -9,6 +9,7 @@ from typing import NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
+from jax import lax
 from jaxtyping import Array, Float
 
 from rodjax.inputs.validation import (
@@ -29,12 +30,14 @@ class Rubbing(NamedTuple):
         stiffness: of the obstacle, normal force per length and depth [N/m^2].
         velocity: of the rod's surface relative to the other, tangential [m/s].
         stretch: of the stick since the surfaces met, as if it did not slip [m].
+        dual: see `AbstractFriction.dual`; None for the exact derivative of the traction.
     """
 
     load: Float[Array, " nodes"]
     stiffness: Float[Array, ""]
     velocity: Float[Array, "nodes 3"]
     stretch: Float[Array, "nodes 3"]
+    dual: Float[Array, "nodes 3"] | None = None
 
 
 class AbstractFriction(eqx.Module):
@@ -58,6 +61,21 @@ class AbstractFriction(eqx.Module):
         """Energy per length of the stretched sticks [J/m]."""
 
     @abc.abstractmethod
+    def dual(self, rubbing: Rubbing) -> Float[Array, "nodes 3"]:
+        """What stands for the direction of slip in the derivative of the traction, at first.
+
+        By the exact derivative a surface that slips in an iterate of Newton's method resists no
+        further slip, so what must stick is thrown from one side to the other for ever. In its
+        place the derivative of |s| t = m s is taken, with s the slip, m its limit and t, the dual,
+        an estimate of the traction, of its own: it follows its own linear prediction, within the
+        limit. Both agree at the solution (Chan, Golub & Mulet 1999).
+        """
+
+    @abc.abstractmethod
+    def next_dual(self, before: Rubbing, after: Rubbing) -> Float[Array, "nodes 3"]:
+        """The dual after an iteration, from the one in `before`."""
+
+    @abc.abstractmethod
     def slipped(self, rubbing: Rubbing, before: Float[Array, "nodes 3"]) -> Float[Array, " nodes"]:
         """Energy per length lost by slipping since the sticks were stretched like that [J/m]."""
 
@@ -67,6 +85,38 @@ def _lengths(rows: Float[Array, "nodes 3"]) -> Float[Array, "nodes 1"]:
     squared = jnp.sum(rows**2, 1, keepdims=True)
     nowhere = squared == 0
     return jnp.where(nowhere, 0.0, jnp.sqrt(jnp.where(nowhere, 1.0, squared)))
+
+
+def _limited(
+    most: Float[Array, "nodes 1"],
+    slip: Float[Array, "nodes 3"],
+    length: Float[Array, "nodes 1"],
+    dual: Float[Array, "nodes 3"] | None,
+) -> Float[Array, "nodes 3"]:
+    """most slip/length, where a dual is given with the derivative that it stands for."""
+    if dual is None:
+        return most * slip / length
+    now = lax.stop_gradient(length)
+    return (most * slip - dual * (length - now)) / now
+
+
+def _foretold(
+    most: tuple[Float[Array, "nodes 1"], Float[Array, "nodes 1"]],
+    slip: tuple[Float[Array, "nodes 3"], Float[Array, "nodes 3"]],
+    length: Float[Array, "nodes 1"],
+    dual: Float[Array, "nodes 3"],
+) -> Float[Array, "nodes 3"]:
+    """What `_limited` becomes by its derivative, of values before and after."""
+    (limit, new_limit), (old, new) = most, slip
+    along = jnp.sum(old * (new - old), 1, keepdims=True) / length
+    return (limit * new + (new_limit - limit) * old - dual * along) / length
+
+
+def _within(most: Float[Array, "nodes 1"], dual: Float[Array, "nodes 3"]):
+    """The dual, shortened to the limit."""
+    length = _lengths(dual)
+    beyond = length > most
+    return jnp.where(beyond, most / jnp.where(beyond, length, 1.0), 1.0) * dual
 
 
 class Friction(AbstractFriction):
@@ -102,11 +152,27 @@ class Friction(AbstractFriction):
     def traction(self, rubbing):
         return -self._stiffness(rubbing) * self.stretch(rubbing)
 
+    def _most(self, rubbing: Rubbing):
+        """The largest stretch that does not slip."""
+        return (self.coefficient * rubbing.load / self._stiffness(rubbing))[:, None]
+
     def stretch(self, rubbing):
-        most = (self.coefficient * rubbing.load / self._stiffness(rubbing))[:, None]
-        length = _lengths(rubbing.stretch)
+        most, length = self._most(rubbing), _lengths(rubbing.stretch)
         slips = length > most
-        return jnp.where(slips, most / jnp.where(slips, length, 1.0), 1.0) * rubbing.stretch
+        limited = _limited(most, rubbing.stretch, jnp.where(slips, length, 1.0), rubbing.dual)
+        return jnp.where(slips, limited, rubbing.stretch)
+
+    def dual(self, rubbing):
+        return self.stretch(rubbing)
+
+    def next_dual(self, before, after):
+        assert before.dual is not None
+        most, new = self._most(before), self._most(after)
+        length = _lengths(before.stretch)
+        slips = length > most
+        length, both = jnp.where(slips, length, 1.0), (before.stretch, after.stretch)
+        foretold = _foretold((most, new), both, length, before.dual)
+        return _within(new, jnp.where(slips, foretold, after.stretch))
 
     def stored(self, rubbing):
         return 0.5 * self._stiffness(rubbing) * jnp.sum(self.stretch(rubbing) ** 2, 1)
@@ -141,9 +207,22 @@ class SlidingFriction(AbstractFriction):
         return False
 
     def traction(self, rubbing):
-        squared = jnp.sum(rubbing.velocity**2, 1, keepdims=True)
-        direction = rubbing.velocity / jnp.sqrt(squared + self.slip_speed**2)
-        return -self.coefficient * rubbing.load[:, None] * direction
+        most, speed = self._most(rubbing), self._speed(rubbing)
+        return -_limited(most, rubbing.velocity, speed, rubbing.dual)
+
+    def _most(self, rubbing: Rubbing):
+        return (self.coefficient * rubbing.load)[:, None]
+
+    def _speed(self, rubbing: Rubbing):
+        return jnp.sqrt(jnp.sum(rubbing.velocity**2, 1, keepdims=True) + self.slip_speed**2)
+
+    def dual(self, rubbing):
+        return -self.traction(rubbing)
+
+    def next_dual(self, before, after):
+        assert before.dual is not None
+        most, both = (self._most(before), self._most(after)), (before.velocity, after.velocity)
+        return _within(most[1], _foretold(most, both, self._speed(before), before.dual))
 
     def stretch(self, rubbing):
         return jnp.zeros_like(rubbing.stretch)

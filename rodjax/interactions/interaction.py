@@ -72,6 +72,19 @@ class AbstractInteraction(eqx.Module):
         where = lambda one: one.memory
         return eqx.tree_at(where, self, memory, is_leaf=lambda leaf: leaf is None)
 
+    @property
+    def rubs(self) -> bool:
+        """Whether Newton's method needs a dual of it, see `AbstractFriction.dual`."""
+        return False
+
+    def first_dual(self, rod: Rod, motion: NodeMotion) -> Any:
+        """The dual that iterations begin with, for the field `dual`."""
+        return None
+
+    def next_dual(self, rod: Rod, before: NodeMotion, after: NodeMotion) -> Any:
+        """The dual after an iteration, asked of what has the one before."""
+        return None
+
     def lost_before(self) -> Float[Array, ""] | None:
         """What has been lost by what it remembers [J], besides `lost`; None for nothing."""
         return None

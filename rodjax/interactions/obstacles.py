@@ -103,6 +103,7 @@ class Obstacle(AbstractLoad):
     suction: bool = eqx.field(static=True, default=False)
     displacement: AbstractSchedule | None = None
     memory: Anchors | None = eqx.field(default=None, repr=False)
+    dual: Float[Array, "nodes 3"] | None = eqx.field(default=None, repr=False)
 
     def __check_init__(self):
         check_instance(AbstractShape, "give a shape such as Plane()", shape=self.shape)
@@ -162,7 +163,7 @@ class Obstacle(AbstractLoad):
             return motion.position, motion.velocity
         time = motion.time, jnp.ones_like(motion.time)
         shift, rate = jax.jvp(self.displacement, *((t,) for t in time))
-        return motion.position - shift, motion.velocity - rate
+        return motion.position - shift[None], motion.velocity - rate[None]
 
     def touch(self, rod: Rod, motion: NodeMotion) -> Touch:
         """How the nodes touch it."""
@@ -193,7 +194,8 @@ class Obstacle(AbstractLoad):
             turn = rotations.logarithm(rotations.multiply(motion.quaternion, before))
             moved = place - self.memory.place + jnp.cross(turn, arm)
             stretch = tangential(self.memory.stretch + moved)
-        return Rubbing(jnp.maximum(load, 0.0), self.stiffness, velocity, stretch)
+        load = jnp.maximum(load, 0.0)
+        return Rubbing(load, self.stiffness, velocity, stretch, self.dual)
 
     def wrench(self, rod, motion):
         touch = self.touch(rod, motion)
@@ -245,6 +247,21 @@ class Obstacle(AbstractLoad):
         place, stretch = self._relative(motion)[0], self.friction.stretch(rubbing)
         return Anchors(place, motion.quaternion, stretch, before.lost + lost)
 
+    @property
+    def rubs(self):
+        return self.friction is not None
+
+    def first_dual(self, rod, motion):
+        if self.friction is None:
+            return None
+        return self.friction.dual(self.touch(rod, motion).rubbing)
+
+    def next_dual(self, rod, before, after):
+        if self.friction is None:
+            return None
+        both = self.touch(rod, before).rubbing, self.touch(rod, after).rubbing
+        return self.friction.next_dual(*both)
+
     def lost_before(self):
         return None if self.memory is None else jnp.sum(self.memory.lost)
 
@@ -261,8 +278,8 @@ class Obstacle(AbstractLoad):
 
     def _apart(self, position: Float[Array, "nodes 3"]) -> Float[Array, " nodes"]:
         """Distances of the nodes from the surface of what is held at a time."""
-        shift = 0.0 if self.displacement is None else self.displacement(jnp.zeros(()))
-        return jax.vmap(self.shape.distance)(position - shift)
+        shift = jnp.zeros(3) if self.displacement is None else self.displacement(jnp.zeros(()))
+        return jax.vmap(self.shape.distance)(position - shift[None].astype(position.dtype))
 
     def safe_fraction(self, rod, position, change, found):
         # of a convex obstacle the linear change is the most that a node comes nearer, of a hollow

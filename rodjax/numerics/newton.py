@@ -50,6 +50,9 @@ _LEFT_OF_CONSTRAINT, _ROUNDING, _FINER = 1e-12, 4, 2
 # How many increments may fail to shrink before a step is given up, to be tried again by a shorter.
 PATIENCE = 4
 
+# And where friction sorts out what sticks and what slips, which no shorter step would change.
+PATIENCE_WITH_DUALS = 12
+
 
 class NewtonInfo(NamedTuple):
     """How the iteration went."""
@@ -90,6 +93,26 @@ def iterate(
 
     going = lambda loop: _unfinished(loop, max_iterations, patience)
     return _outcome(lax.while_loop(going, body, _beginning(x)))
+
+
+def iterate_dual(equations, x, tolerance, max_iterations) -> tuple[Any, NewtonInfo]:
+    """As `iterate`, by a derivative that has duals of its own: estimates that follow the iteration.
+
+    Besides the methods above the equations have
+        first_duals(x) -> duals, with_duals(duals) -> equations, next_duals(x, new x) -> duals.
+    The derivative of the solution is the exact one, without duals.
+    """
+
+    def body(carry):
+        loop, duals = carry
+        held = equations.with_duals(duals)
+        fresh = loop._replace(turned=jnp.zeros_like(loop.turned))
+        new = _updated(equations, fresh, held.newton_increment(loop.x), tolerance)
+        return new, held.next_duals(loop.x, new.x)
+
+    going = lambda carry: _unfinished(carry[0], max_iterations, PATIENCE_WITH_DUALS)
+    begun = _beginning(x), equations.first_duals(x)
+    return _outcome(lax.while_loop(going, body, begun)[0])
 
 
 def iterate_held(equations, x, tolerance, max_iterations) -> tuple[Any, NewtonInfo]:

@@ -282,6 +282,17 @@ class Scene(eqx.Module):
             own = self.rod.material.next_memory(seen_by_material(self.rod, motion))
         return Memory(loads, own)
 
+    @property
+    def rubs(self) -> bool:
+        """Whether Newton's method needs duals, see `AbstractFriction.dual`."""
+        return any(load.rubs for load in self.loads)
+
+    def with_duals(self, duals: tuple[Any, ...]) -> "Scene":
+        """The scene whose loads have these duals."""
+        where = lambda scene: [load.dual for load in scene.loads if load.rubs]
+        values = [dual for load, dual in zip(self.loads, duals, strict=True) if load.rubs]
+        return eqx.tree_at(where, self, values, is_leaf=lambda leaf: leaf is None)
+
     def remembering(self, state: State) -> State:
         """The state with the memory that a run of the scene needs, begun anew where it has none.
 
