@@ -161,8 +161,8 @@ class Obstacle(AbstractLoad):
         """Positions and velocities of the nodes as the obstacle sees them."""
         if self.displacement is None:
             return motion.position, motion.velocity
-        time = motion.time, jnp.ones_like(motion.time)
-        shift, rate = jax.jvp(self.displacement, *((t,) for t in time))
+        second = jnp.ones_like(motion.time)
+        shift, rate = jax.jvp(self.displacement, (motion.time,), (second,))
         return motion.position - shift[None], motion.velocity - rate[None]
 
     def touch(self, rod: Rod, motion: NodeMotion) -> Touch:
