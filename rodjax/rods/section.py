@@ -193,6 +193,7 @@ def circular_section(
     rotary_inertia: bool = True,
     extensible: bool = False,
     shear_factor: Number = 1.0,
+    material: AbstractMaterial | None = None,
 ) -> Callable[[np.ndarray], Section]:
     """Solid circular section: A_c = pi D^2/4, A1 = A2 = E A_c D^2/16, C = G A_c D^2/8.
 
@@ -204,6 +205,7 @@ def circular_section(
         rotary_inertia: False leaves I = rho J out.
         extensible: True adds the shear and axial compliances 1/(k G A_c) and 1/(E A_c).
         shear_factor: k.
+        material: see `Section`.
 
     Returns a function of the arc lengths of the element centres, for the builders of rods.
     Source: Table 1 of Goyal, Perkins & Lee.
@@ -235,6 +237,7 @@ def circular_section(
             compliance=(soft, soft, 1 / (youngs * area)) if extensible else None,
             diameter=d,
             area=area,
+            material=material,
         )
 
     return at
