@@ -86,6 +86,7 @@ from rodjax.rods.imperfection import imperfect as imperfect
 from rodjax.rods.kelvin_voigt import KelvinVoigt as KelvinVoigt
 from rodjax.rods.linear_material import LinearMaterial as LinearMaterial
 from rodjax.rods.material import AbstractMaterial as AbstractMaterial
+from rodjax.rods.material import ElementMotion as ElementMotion
 from rodjax.rods.regridding import regrid as regrid
 from rodjax.rods.rod import Rod as Rod
 from rodjax.rods.section import Section as Section
@@ -177,6 +178,7 @@ __all__ = [
     "DebyeHueckel",
     "DistributedLoad",
     "ElasticPlastic",
+    "ElementMotion",
     "Fit",
     "FitError",
     "FitResult",

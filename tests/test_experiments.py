@@ -291,6 +291,21 @@ def test_design_in_short_mode(tmp_path):
 
 
 @pytest.mark.slow
+def test_soft_arm_in_short_mode(tmp_path):
+    _run("soft_arm.py", "--quick", "--out", str(tmp_path))
+    summary = json.loads((tmp_path / "summary.json").read_text())
+    fitted, reached = summary["fit"], summary["reach"]
+    # eight elements are 6 % too stiff beside the sixteen of the data
+    assert fitted["parameters"]["youngs_modulus"] == pytest.approx(4e5, rel=0.1)
+    assert fitted["parameters"]["retardation"] == pytest.approx(0.01, rel=0.2)
+    assert reached["result"] == "SUCCESS"
+    assert reached["mean_miss_after"] < 0.5 * reached["mean_miss_before"]
+    assert reached["gradient_against_difference"] < 1e-5
+    assert reached["balance_error"] < 1e-2
+    assert (tmp_path / "soft_arm.png").exists() and (tmp_path / "amplitudes.npz").exists()
+
+
+@pytest.mark.slow
 def test_sweep_in_short_mode(tmp_path):
     _run("sweep.py", "--quick", "--devices", "2", "--out", str(tmp_path))
     summary = json.loads((tmp_path / "summary.json").read_text())

@@ -282,3 +282,26 @@ def test_what_is_no_material_is_refused_with_the_mend():
         rx.KelvinVoigt(-0.1)
     with pytest.raises(ValueError, match="actuation: the schedule must give three components"):
         rx.straight_rod(1.0, N, small_section(), actuation=FIXED(1.0))
+
+
+class Averaging(rx.AbstractMaterial):
+    """A law that looks at other elements."""
+
+    def moment(self, at):
+        return at.stiffness * jnp.mean(at.bent, 0, keepdims=True)
+
+
+class Scalar(rx.AbstractMaterial):
+    """A law that gives one number an element."""
+
+    def moment(self, at):
+        return jnp.sum(at.bent, 1)
+
+
+@pytest.mark.usefixtures("unchecked")
+def test_a_law_that_is_none_is_refused_with_the_mend():
+    scene = lambda law: rx.Scene(rx.straight_rod(1.0, N, small_section(material=law)), rx.Clamped())
+    with pytest.raises(ValueError, match=r"material \(Averaging\): its slopes are not"):
+        scene(Averaging())
+    with pytest.raises(ValueError, match=r"material \(Scalar\): moment\(at\) must give \(4, 3\)"):
+        scene(Scalar())

@@ -24,6 +24,7 @@ from rodjax.rods.rod import Rod
 from rodjax.rods.state import Memory, NodeMotion, State, node_motion
 from rodjax.scenes import probing
 from rodjax.scenes.holds import Held, Node
+from rodjax.scenes.material_probing import check_law
 from rodjax.scenes.potentials import check_potential
 
 _FREE = Free()
@@ -129,6 +130,7 @@ class Scene(eqx.Module):
             probing.check_local(load, self.rod, f"loads[{i}]")
             check_potential(load, self.rod, f"loads[{i}]")
         self._check_supports()
+        check_law(self.rod)
         for held in self.holds:
             probing.check_end(held.end, held.name)
         if self.rod.mass is None:
