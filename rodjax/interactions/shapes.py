@@ -170,12 +170,12 @@ class HeightField(AbstractShape):
     def height(self, place: Float[Array, "2"]) -> Float[Array, ""]:
         """z of the ground at x and y [m]."""
         rows, columns = self.heights.shape
-        last = jnp.asarray([rows - 1, columns - 1])
-        # a little inside, so that the last interval ends with it
+        last = jnp.asarray([rows - 1, columns - 1], jnp.int32)
         at = jnp.clip((place - self.origin) / self.spacing, 0.0, last.astype(place.dtype))
         cell = jnp.minimum(jnp.floor(at).astype(jnp.int32), last - 1)
-        part = at - cell
-        index = jnp.clip(cell[:, None] + jnp.arange(-1, 3), 0, last[:, None])
+        part = at - cell.astype(at.dtype)
+        around = jnp.arange(-1, 3, dtype=jnp.int32)
+        index = jnp.clip(cell[:, None] + around[None], 0, last[:, None])
         weights = jax.vmap(_catmull_rom)(part)
         return weights[0] @ self.heights[index[0][:, None], index[1][None]] @ weights[1]
 
