@@ -3,10 +3,11 @@
     python experiments/soft_arm.py [--elements N] [--steps K] [--quick] [--out DIR]
 
 The arm hangs; bundles of its upper and its lower half bend it either way (its natural curvature is
-a schedule). First its modulus and damping are recovered from the tip, seen after a step of the
-actuation with noise, on a finer grid. Then the amplitudes of the bundles at four times are found
-by one gradient through the motion, gravity and damping included, so that the tip comes to a target
-and stays. Writes DIR/summary.json, DIR/amplitudes.npz and DIR/soft_arm.png.
+a schedule). First its modulus and damping are recovered from the tip, seen with noise after a step
+of the actuation; the data come from a grid and steps twice as fine, which shows in the modulus.
+Then the amplitudes of the bundles at four times are found by one gradient through the motion,
+gravity and damping included, so that the tip comes to a target and stays. Writes DIR/summary.json,
+DIR/amplitudes.npz and DIR/soft_arm.png.
 """
 
 import argparse
@@ -178,7 +179,7 @@ def draw(out: Path, fitting: dict, found: dict) -> None:
             axes[0].plot(whole[k, :, column] + offset, whole[k, :, 2], color=shade, lw=2)
     for column, offset in ((0, 0.0), (1, 0.3)):
         axes[0].plot(TARGET[column] + offset, TARGET[2], "C3x", ms=9, mew=2)
-        axes[0].text(offset, 0.012, "xy"[column] + " - z", ha="center")
+        axes[0].text(offset + 0.02, -0.01, "xy"[column] + " - z")
     axes[0].set(aspect="equal", xlabel="x, and y + 0.3 [m]", ylabel="z [m]")
     axes[0].set_title("at nine times, dark last; target red")
     for name, positions, style in zip(("at first", "found"), found["positions"], ("k:", "C0"),

@@ -43,11 +43,6 @@ def strain_energy_density(rod: Rod, state: State) -> Float[Array, " n"]:
     return density + jnp.sum(_force_energy_density(rod, state), 1)
 
 
-def strain_energy(rod: Rod, state: State) -> Float[Array, ""]:
-    """Strain energy of a rod in a state [J]."""
-    return jnp.sum(rod.length * strain_energy_density(rod, state))
-
-
 def bending_energy(scene: Scene, state: State) -> Float[Array, ""]:
     """The part of Eq. (4) in A1 and A2, over the rod of the scene in this state [J].
 

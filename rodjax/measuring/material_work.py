@@ -1,18 +1,17 @@
 """What actuation puts into a rod between two states, and what its material loses."""
 
-import dataclasses
 from typing import NamedTuple
 
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from rodjax.measuring.energies import strain_energy
+from rodjax.numerics import rotations
 from rodjax.rods import balance
-from rodjax.rods.constitution import natural_curvature, seen_by_material
+from rodjax.rods.constitution import internal_moment, natural_curvature, seen_by_material
 from rodjax.rods.material import ElementMotion
 from rodjax.rods.rod import Rod
 from rodjax.rods.state import State, node_motion
-from rodjax.rods.strains import strains
+from rodjax.rods.strains import element_rotation, strains
 
 
 class MaterialWork(NamedTuple):
@@ -33,20 +32,32 @@ def material_work(rod: Rod, before: State, after: State) -> MaterialWork:
 
 
 def _actuation(rod: Rod, before: State, after: State) -> Float[Array, ""]:
-    """What the stored energy gains by kappa0, and by time in a material, at the strain held."""
-    at = lambda state, time: strain_energy(rod, dataclasses.replace(state, time=time))
-    gain = lambda state: at(state, after.time) - at(state, before.time)
-    work = 0.5 * (gain(before) + gain(after))
+    """The work of what changes kappa0, and of time in a material."""
+    work = jnp.sum(rod.length * _driven(rod, before, after))
     if rod.torque_per_tension is None or rod.actuation is None:
         return work
-    # where nothing gives, the force does the work that the constraint asks for
     twist = natural_curvature(rod, after.time) - natural_curvature(rod, before.time)
-    rigid = jnp.ones_like(rod.length)
-    if rod.compliance is not None:
-        rigid = jnp.where(rod.compliance[:, 2] > 0, 0.0, 1.0)
-    force = 0.5 * (before.force[:, 2] + after.force[:, 2])
-    moved = rigid * rod.torque_per_tension * twist[:, 2]
+    # the force does the work that its strain asks for; where something gives it is stored there
+    moved = rod.torque_per_tension * twist[:, 2]
+    force = 0.5 * (_force(rod, before) + _force(rod, after))
     return work - jnp.sum(rod.length * force * moved)
+
+
+def _driven(rod: Rod, before: State, after: State) -> Float[Array, " n"]:
+    if rod.material is not None:
+        return rod.material.forgetting.driven(_seen(rod, before), _seen(rod, after))
+    natural = [natural_curvature(rod, state.time) for state in (before, after)]
+    turned = lambda state: rotations.logarithm(element_rotation(rod, state.quaternion))
+    both = (before, after)
+    moments = [internal_moment(rod, turned(state), node_motion(state)) for state in both]
+    return -0.5 * jnp.sum((moments[0] + moments[1]) * (natural[1] - natural[0]), 1)
+
+
+def _force(rod: Rod, state: State) -> Float[Array, " n"]:
+    """The tension that is not lost to damping [N]."""
+    if balance.stretch_time(rod) is None:
+        return state.force[:, 2]
+    return (state.force - _lost_force(rod, state))[:, 2]
 
 
 def _lost(rod: Rod, before: State, after: State) -> Float[Array, ""]:

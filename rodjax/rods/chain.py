@@ -14,6 +14,12 @@ import jax.numpy as jnp
 
 from rodjax.inputs.validation import check_instance
 from rodjax.rods.rod import Part, Rod, parts_of
+from rodjax.rods.shared_out import (
+    ActuationsOfRods,
+    MaterialsOfRods,
+    own_actuations,
+    own_materials,
+)
 from rodjax.rods.state import State
 
 
@@ -42,12 +48,6 @@ def chain(rods: Sequence[Rod]) -> Rod:
             raise ValueError(
                 f"rods[{lacking}]: {name}: it is None, and given for rods[{have[0]}]; give it to"
                 " all rods of a scene, or to none"
-            )
-    for name in ("material", "actuation"):
-        if any(getattr(rod, name) is not getattr(rods[0], name) for rod in rods):
-            raise ValueError(
-                f"rods: {name}: give all rods of a scene the same object (one for each element's"
-                " numbers is not shared out yet), or none"
             )
     breaks, nodes = [], 0
     for rod in rods:
@@ -84,10 +84,29 @@ def chain(rods: Sequence[Rod]) -> Rod:
         area=laid("area"),
         coupling=_laid_or_zero(rods, "coupling"),
         torque_per_tension=_laid_or_zero(rods, "torque_per_tension"),
-        material=rods[0].material,
-        actuation=rods[0].actuation,
+        material=_materials(rods),
+        actuation=_actuations(rods),
         breaks=tuple(breaks[:-1]),
     )
+
+
+def _counts(rods: Sequence[Rod]) -> list[int]:
+    """How many elements each of all rods has, those of chains one by one."""
+    return [part.last - part.first for rod in rods for part in rod.parts]
+
+
+def _materials(rods: Sequence[Rod]) -> MaterialsOfRods | None:
+    """What each of all rods is made of; None where all are linear."""
+    own = [one for rod in rods for one in own_materials(rod.material, len(rod.parts))]
+    return None if all(one is None for one in own) else MaterialsOfRods.of(own, _counts(rods))
+
+
+def _actuations(rods: Sequence[Rod]) -> ActuationsOfRods | None:
+    """How each of all rods is driven; None where none is."""
+    own = [one for rod in rods for one in own_actuations(rod.actuation, len(rod.parts))]
+    if all(one is None for one in own):
+        return None
+    return ActuationsOfRods(tuple(own), tuple(_counts(rods)))
 
 
 def _compliance(rod: Rod):
@@ -126,7 +145,10 @@ def rods_of(rod: Rod) -> tuple[Rod, ...]:
     if not rod.breaks:
         return (rod,)
 
-    def one(part: Part) -> Rod:
+    materials = own_materials(rod.material, len(rod.parts))
+    actuations = own_actuations(rod.actuation, len(rod.parts))
+
+    def one(part: Part, material, actuation) -> Rod:
         of_nodes = lambda value: value[part.nodes]
         of_elements = lambda value: None if value is None else value[part.elements]
         return Rod(
@@ -142,11 +164,11 @@ def rods_of(rod: Rod) -> tuple[Rod, ...]:
             area=of_elements(rod.area),
             coupling=of_elements(rod.coupling),
             torque_per_tension=of_elements(rod.torque_per_tension),
-            material=rod.material,
-            actuation=rod.actuation,
+            material=material,
+            actuation=actuation,
         )
 
-    return tuple(map(one, rod.parts))
+    return tuple(map(one, rod.parts, materials, actuations))
 
 
 def states_of(state: State) -> tuple[State, ...]:

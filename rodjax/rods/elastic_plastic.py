@@ -2,6 +2,7 @@
 
 import equinox as eqx
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from rodjax.inputs.validation import (
@@ -9,6 +10,7 @@ from rodjax.inputs.validation import (
     check_not_negative,
     check_numbers,
     check_positive,
+    known,
     shown,
 )
 from rodjax.rods.material import AbstractMaterial
@@ -105,8 +107,12 @@ class ElasticPlastic(AbstractMaterial):
         driving = self.moment(after)[:, :2] - self._of(after, self.hardening) * plastic
         return jnp.sum(driving * (plastic - self._flow(before)), 1)
 
+    def driven(self, before, after):
+        mean = 0.5 * (self.moment(before) + self.moment(after))
+        return -jnp.sum(mean * (after.natural - before.natural), 1)
+
     def check(self, stiffness, coupling, compliance, mass):
-        if coupling is not None:
+        if known(coupling) and np.any(np.asarray(coupling) != 0):
             raise ValueError(
                 "coupling: a rod of ElasticPlastic yields in bending alone; give its section no"
                 " coupling"

@@ -80,6 +80,9 @@ class KelvinVoigt(AbstractMaterial):
         damped = jnp.sum(mean * (after.curvature - before.curvature), 1)
         return self.elastic.lost(before, after) + damped
 
+    def driven(self, before, after):
+        return self.elastic.driven(before, after)
+
     def check(self, stiffness, coupling, compliance, mass):
         self.elastic.check(stiffness, coupling, compliance, mass)
         if mass is None:

@@ -140,6 +140,19 @@ class AbstractMaterial(eqx.Module):
         both = excess(self, before) + excess(self, after)
         return 0.5 * jnp.sum(both * (after.curvature - before.curvature), 1)
 
+    def driven(self, before: ElementMotion, after: ElementMotion) -> Float[Array, " n"]:
+        """Work per length that what changes kappa0 does between two states, or time does [J/m].
+
+        Here what the energy gains by them at the curvatures before and after, the mean of both.
+        """
+
+        def gain(at: ElementMotion):
+            ends = (at._replace(natural=end.natural, time=end.time) for end in (before, after))
+            first, last = (self.energy(end) for end in ends)
+            return (last - first).reshape(len(first), -1).sum(1)
+
+        return 0.5 * (gain(before) + gain(after))
+
     def check(
         self,
         stiffness: Float[Array, "n 3"],
