@@ -9,6 +9,8 @@ import pytest
 
 import rodjax as rx
 from rodjax.measuring import energy
+from rodjax.rods.strains import curvature
+from rodjax.scenes.placing import placing
 
 ELEMENTS, DIAMETER, MASS, STIFFNESS, WEIGHT = 4, 0.05, 1.0, 1e5, 9.8
 
@@ -49,7 +51,8 @@ def pulled(force, friction):
 STEPS, FINE = np.linspace(0, 1, 101)[1:], np.linspace(0, 1, 1001)[1:]
 
 
-@pytest.mark.parametrize("force", [6.0, pytest.param(3.0, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("force", [6.0, 3.0])
 def test_a_rod_pulled_on_a_floor(force):
     """Kinetic energy (F - mu m g)^2/2 after a second, none below; PyElastica and DisMech's case."""
     scene = pulled(force, rx.Friction(0.4, 1e7))
@@ -169,3 +172,65 @@ def test_derivatives_by_friction_and_place(force):
         for i in (0, 1)
     ]
     np.testing.assert_allclose(forward, either, rtol=1e-5, atol=1e-9)
+
+
+def laid(friction, load, first_end, last_end, elements, *loads, compliance=None, stiffness=1e5):
+    """A rod of length 4, bending stiffness 1 and weight 1 per length on a floor, as placed."""
+    section = rx.Section((1.0, 1.0, 1.0), mass=1.0, diameter=DIAMETER, compliance=compliance)
+    rod = rx.straight_rod(4.0, elements, section, direction=(1, 0, 0))
+    up = 0.5 * DIAMETER - dip(load, stiffness)
+    rod = dataclasses.replace(rod, position=rod.position.at[:, 2].add(up))
+    floor = rx.Obstacle(rx.Plane(), stiffness, friction)
+    scene = rx.Scene(rod, first_end, last_end, (rx.Gravity((0, 0, -1.0)), floor, *loads))
+    return scene, placing(scene)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "height, stiffness, force, curved",
+    [(1.0, 1e5, 1.286617, 0.574755), (0.1, 1e7, 0.625120, 0.193319)],
+)
+def test_a_heavy_elastica_lifted_from_a_floor(height, stiffness, force, curved):
+    """B = w = 1, lifted at its end by a vertical force, to a thousandth."""
+    lift = rx.Pinned(displacement=rx.PiecewiseLinear([0.0, 1.0], [(0, 0, 0), (0, 0, height)]))
+    ends = rx.Slider((1, 0, 0)), lift
+    scene, state = laid(None, 1.0, *ends, 160, stiffness=stiffness)
+    state, _ = rx.equilibrium(scene, state, time=1.0, relax=False)
+    np.testing.assert_allclose(energy.reactions(scene, state).force[1], [0, 0, force], atol=1e-3)
+    largest = np.max(np.abs(curvature(scene.rod, state.quaternion)))
+    np.testing.assert_allclose(largest, curved, rtol=1e-3)
+
+
+@pytest.mark.slow
+def test_a_stretched_rod_at_rest_remembers_its_load_steps():
+    """Pulled by F it slips as far as friction has not taken that up, F/(mu w): its end moves by
+    F^2/(2 EA mu w), and back by half of that when it is let go.
+    """
+    stiff, mu, most = 1e3, 0.5, 1.2
+    pulls = rx.PiecewiseLinear([0.0, 1.0, 2.0], [(0, 0, 0), (most, 0, 0), (0, 0, 0)])
+    loads = (rx.PointLoad(-1, force=pulls),)
+    friction = rx.Friction(mu, 1e5)
+    give = (0.0, 0.0, 1 / stiff)
+    scene, state = laid(friction, 1.0, rx.Clamped(), rx.Free(), 80, *loads, compliance=give)
+    place, ends = float(state.position[-1, 0]), []
+    for time in (0.0, 1.0, 2.0):
+        state, _ = rx.equilibrium(scene, state, time=time, relax=False)
+        ends.append(float(state.position[-1, 0]) - place)
+    moved = most**2 / (2 * stiff * mu)
+    np.testing.assert_allclose(ends, [0.0, moved, 0.5 * moved], atol=0.02 * moved)
+
+
+@pytest.mark.slow
+def test_friction_goes_on_from_a_file(tmp_path):
+    """What sticks by its anchors is resumed bit for bit."""
+    scene = pulled(3.0, rx.Friction(0.4, 1e5))
+    start = rx.start(scene)
+    control = rx.StepControl(max_step=2e-3, min_step=1e-12)
+    whole = rx.adaptive_rollout(scene, start, 0.2, control=control)
+    half = rx.adaptive_rollout(scene, start, 0.1, control=control)
+    rx.storage.save(tmp_path / "half.h5", scene, half, control=control)
+    functions = {"scene.loads[2].function": pull}
+    rest = rx.storage.load(tmp_path / "half.h5", functions=functions).resume(0.2)
+    assert float(jnp.max(whole.final.memory.loads[1].stretch)) > 1e-6
+    for one, other in zip(jax.tree.leaves(rest.final), jax.tree.leaves(whole.final), strict=True):
+        np.testing.assert_array_equal(one, other)

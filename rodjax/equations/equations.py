@@ -226,10 +226,10 @@ class Equations(eqx.Module, Generic[Scheme]):
         """The equations whose derivative is that of these duals."""
         return eqx.tree_at(lambda one: one.scene, self, self.scene.with_duals(duals))
 
-    def next_duals(self, before, after) -> tuple:
-        """What follows them after an iteration from one x to another."""
-        motions = self.motion(before), self.motion(after)
-        return tuple(load.next_dual(self.scene.rod, *motions) for load in self.scene.loads)
+    def next_duals(self, x) -> tuple:
+        """What follows them after an iteration to x."""
+        motion, rod = self.motion(x), self.scene.rod
+        return tuple(load.next_dual(rod, motion) for load in self.scene.loads)
 
     def without_contact(self) -> "Equations[Scheme]":
         """The equations of strands that do not feel each other."""

@@ -22,6 +22,19 @@ from rodjax.inputs.validation import (
 )
 
 
+class Dual(NamedTuple):
+    """What stands for the direction of slip in a derivative, see `AbstractFriction.dual`.
+
+    Attributes:
+        estimate: of the traction, in the unit of the slip or per length.
+        slip, limit: where it was made.
+    """
+
+    estimate: Float[Array, "nodes 3"]
+    slip: Float[Array, "nodes 3"]
+    limit: Float[Array, "nodes 1"]
+
+
 class Rubbing(NamedTuple):
     """What friction sees of the surfaces at the nodes.
 
@@ -30,7 +43,7 @@ class Rubbing(NamedTuple):
         stiffness: of the obstacle, normal force per length and depth [N/m^2].
         velocity: of the rod's surface relative to the other, tangential [m/s].
         stretch: of the stick since the surfaces met, as if it did not slip [m].
-        dual: see `AbstractFriction.dual`; None for the exact derivative of the traction.
+        dual: the estimate of the traction; None for its exact derivative.
     """
 
     load: Float[Array, " nodes"]
@@ -61,7 +74,7 @@ class AbstractFriction(eqx.Module):
         """Energy per length of the stretched sticks [J/m]."""
 
     @abc.abstractmethod
-    def dual(self, rubbing: Rubbing) -> Float[Array, "nodes 3"]:
+    def dual(self, rubbing: Rubbing) -> Dual:
         """What stands for the direction of slip in the derivative of the traction, at first.
 
         By the exact derivative a surface that slips in an iterate of Newton's method resists no
@@ -72,8 +85,8 @@ class AbstractFriction(eqx.Module):
         """
 
     @abc.abstractmethod
-    def next_dual(self, before: Rubbing, after: Rubbing) -> Float[Array, "nodes 3"]:
-        """The dual after an iteration, from the one in `before`."""
+    def next_dual(self, before: Dual, rubbing: Rubbing) -> Dual:
+        """The dual after an iteration, from the one before."""
 
     @abc.abstractmethod
     def slipped(self, rubbing: Rubbing, before: Float[Array, "nodes 3"]) -> Float[Array, " nodes"]:
@@ -101,15 +114,15 @@ def _limited(
 
 
 def _foretold(
-    most: tuple[Float[Array, "nodes 1"], Float[Array, "nodes 1"]],
-    slip: tuple[Float[Array, "nodes 3"], Float[Array, "nodes 3"]],
+    before: Dual,
+    slip: Float[Array, "nodes 3"],
+    limit: Float[Array, "nodes 1"],
     length: Float[Array, "nodes 1"],
-    dual: Float[Array, "nodes 3"],
 ) -> Float[Array, "nodes 3"]:
-    """What `_limited` becomes by its derivative, of values before and after."""
-    (limit, new_limit), (old, new) = most, slip
-    along = jnp.sum(old * (new - old), 1, keepdims=True) / length
-    return (limit * new + (new_limit - limit) * old - dual * along) / length
+    """What `_limited` becomes by its derivative; `length` is that of the slip before."""
+    along = jnp.sum(before.slip * (slip - before.slip), 1, keepdims=True) / length
+    changed = before.limit * slip + (limit - before.limit) * before.slip
+    return (changed - before.estimate * along) / length
 
 
 def _within(most: Float[Array, "nodes 1"], dual: Float[Array, "nodes 3"]):
@@ -163,16 +176,14 @@ class Friction(AbstractFriction):
         return jnp.where(slips, limited, rubbing.stretch)
 
     def dual(self, rubbing):
-        return self.stretch(rubbing)
+        return Dual(self.stretch(rubbing), rubbing.stretch, self._most(rubbing))
 
-    def next_dual(self, before, after):
-        assert before.dual is not None
-        most, new = self._most(before), self._most(after)
-        length = _lengths(before.stretch)
-        slips = length > most
-        length, both = jnp.where(slips, length, 1.0), (before.stretch, after.stretch)
-        foretold = _foretold((most, new), both, length, before.dual)
-        return _within(new, jnp.where(slips, foretold, after.stretch))
+    def next_dual(self, before, rubbing):
+        most, length = self._most(rubbing), _lengths(before.slip)
+        slips = length > before.limit
+        foretold = _foretold(before, rubbing.stretch, most, jnp.where(slips, length, 1.0))
+        estimate = _within(most, jnp.where(slips, foretold, rubbing.stretch))
+        return Dual(estimate, rubbing.stretch, most)
 
     def stored(self, rubbing):
         return 0.5 * self._stiffness(rubbing) * jnp.sum(self.stretch(rubbing) ** 2, 1)
@@ -207,22 +218,22 @@ class SlidingFriction(AbstractFriction):
         return False
 
     def traction(self, rubbing):
-        most, speed = self._most(rubbing), self._speed(rubbing)
+        most, speed = self._most(rubbing), self._speed(rubbing.velocity)
         return -_limited(most, rubbing.velocity, speed, rubbing.dual)
 
     def _most(self, rubbing: Rubbing):
         return (self.coefficient * rubbing.load)[:, None]
 
-    def _speed(self, rubbing: Rubbing):
-        return jnp.sqrt(jnp.sum(rubbing.velocity**2, 1, keepdims=True) + self.slip_speed**2)
+    def _speed(self, velocity: Float[Array, "nodes 3"]):
+        return jnp.sqrt(jnp.sum(velocity**2, 1, keepdims=True) + self.slip_speed**2)
 
     def dual(self, rubbing):
-        return -self.traction(rubbing)
+        return Dual(-self.traction(rubbing), rubbing.velocity, self._most(rubbing))
 
-    def next_dual(self, before, after):
-        assert before.dual is not None
-        most, both = (self._most(before), self._most(after)), (before.velocity, after.velocity)
-        return _within(most[1], _foretold(most, both, self._speed(before), before.dual))
+    def next_dual(self, before, rubbing):
+        most = self._most(rubbing)
+        foretold = _foretold(before, rubbing.velocity, most, self._speed(before.slip))
+        return Dual(_within(most, foretold), rubbing.velocity, most)
 
     def stretch(self, rubbing):
         return jnp.zeros_like(rubbing.stretch)

@@ -81,7 +81,7 @@ class AbstractInteraction(eqx.Module):
         """The dual that iterations begin with, for the field `dual`."""
         return None
 
-    def next_dual(self, rod: Rod, before: NodeMotion, after: NodeMotion) -> Any:
+    def next_dual(self, rod: Rod, motion: NodeMotion) -> Any:
         """The dual after an iteration, asked of what has the one before."""
         return None
 

@@ -99,7 +99,7 @@ def iterate_dual(equations, x, tolerance, max_iterations) -> tuple[Any, NewtonIn
     """As `iterate`, by a derivative that has duals of its own: estimates that follow the iteration.
 
     Besides the methods above the equations have
-        first_duals(x) -> duals, with_duals(duals) -> equations, next_duals(x, new x) -> duals.
+        first_duals(x) -> duals, with_duals(duals) -> equations, next_duals(new x) -> duals.
     The derivative of the solution is the exact one, without duals.
     """
 
@@ -108,7 +108,7 @@ def iterate_dual(equations, x, tolerance, max_iterations) -> tuple[Any, NewtonIn
         held = equations.with_duals(duals)
         fresh = loop._replace(turned=jnp.zeros_like(loop.turned))
         new = _updated(equations, fresh, held.newton_increment(loop.x), tolerance)
-        return new, held.next_duals(loop.x, new.x)
+        return new, held.next_duals(new.x)
 
     going = lambda carry: _unfinished(carry[0], max_iterations, PATIENCE_WITH_DUALS)
     begun = _beginning(x), equations.first_duals(x)
