@@ -340,6 +340,22 @@ def test_ladder_in_short_mode(tmp_path):
 
 
 @pytest.mark.slow
+def test_capstan_in_short_mode(tmp_path):
+    text = _run("capstan.py", "--quick", "--out", str(tmp_path))
+    summary = json.loads((tmp_path / "summary.json").read_text())
+    (run,) = summary["runs"]
+    # 8 elements on the drum; 24 are within 1 %
+    assert run["ratio"] == pytest.approx(1, abs=0.03) and "theory" in text
+    # friction on its surface holds it less than it would a thin belt
+    assert run["slips_at"] < run["theory"] < summary["thin_belt_at_0.3"]
+    # the light side has risen by what the friction and the heavy side have left
+    assert run["ledger_residual"] < 1e-2 * run["friction_loss"]
+    stick, speed = summary["creep"].values()
+    assert stick < 1e-9 < speed
+    assert (tmp_path / "capstan.png").exists()
+
+
+@pytest.mark.slow
 def test_plectoneme_in_short_mode(tmp_path):
     text = _run("plectoneme.py", "--quick", "--out", str(tmp_path))
     summary = json.loads((tmp_path / "summary.json").read_text())

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import rodjax as rx
-from rodjax.measuring import energy
+from rodjax.measuring import energy, measures
 from rodjax.rods.strains import curvature
 from rodjax.scenes.placing import placing
 
@@ -104,6 +104,12 @@ def test_a_rod_that_spins_begins_to_roll():
     # until it rolls, it is pushed by mu m g
     gain, time = speed[15] - speed[5], run.times[15] - run.times[5]
     np.testing.assert_allclose(gain, 0.4 * WEIGHT * time, rtol=1e-3)
+    touch = measures.obstacle_contact(scene, run, 1)
+    assert np.all(touch.slides[10]) and np.all(touch.sticks[-1]) and not np.any(touch.sticks[10])
+    np.testing.assert_allclose(np.sum(touch.normal_force, 1)[10], MASS * WEIGHT, rtol=1e-3)
+    np.testing.assert_allclose(touch.friction[10, :, 0], 0.4 * touch.normal_force[10], rtol=1e-6)
+    with pytest.raises(ValueError, match="is no obstacle"):
+        measures.obstacle_contact(scene, run, 0)
 
 
 @pytest.mark.slow

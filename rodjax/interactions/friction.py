@@ -54,7 +54,13 @@ class Rubbing(NamedTuple):
 
 
 class AbstractFriction(eqx.Module):
-    """A law of friction."""
+    """A law of friction.
+
+    Attributes:
+        coefficient: mu, the limit of the traction over the normal force.
+    """
+
+    coefficient: eqx.AbstractVar[Float[Array, ""]]
 
     @property
     @abc.abstractmethod

@@ -6,7 +6,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from rodjax.inputs.schedules import AbstractSchedule, Constant, check_schedule
 from rodjax.inputs.validation import (
@@ -69,6 +69,30 @@ class Touch(NamedTuple):
     elastic: Float[Array, " nodes"]
     load: Float[Array, " nodes"]
     rubbing: Rubbing
+
+
+class ObstacleContact(NamedTuple):
+    """What passes between the nodes and an obstacle, see `measures.obstacle_contact`.
+
+    Attributes:
+        gap: between the surfaces [m], negative where they are in each other.
+        normal_force: with which the obstacle pushes the nodes [N].
+        friction: on the nodes, inertial components [N].
+        slip_velocity: of the rod's surface on the obstacle's, inertial components [m/s].
+        sticks: where friction holds below its limit (by `SlidingFriction` nowhere).
+        slides: where it is at its limit.
+    """
+
+    gap: Float[Array, "*k nodes"]
+    normal_force: Float[Array, "*k nodes"]
+    friction: Float[Array, "*k nodes 3"]
+    slip_velocity: Float[Array, "*k nodes 3"]
+    sticks: Bool[Array, "*k nodes"]
+    slides: Bool[Array, "*k nodes"]
+
+
+# Part of its limit from which on friction counts as sliding.
+_AT_LIMIT = 1 - 1e-6
 
 
 class Obstacle(AbstractLoad):
@@ -214,6 +238,22 @@ class Obstacle(AbstractLoad):
         force = rod.node_length[:, None] * self.friction.traction(touch.rubbing)
         moment = rotations.rotate_inverse(motion.quaternion, jnp.cross(touch.arm, force))
         return jnp.concatenate([force, moment], 1)
+
+    def contact(self, rod: Rod, motion: NodeMotion) -> ObstacleContact:
+        """What passes between it and the nodes."""
+        touch = self.touch(rod, motion)
+        normal, friction = rod.node_length * touch.load, jnp.zeros_like(motion.position)
+        touches = touch.rubbing.load > 0
+        holds = jnp.zeros_like(touches)
+        if self.friction is not None:
+            traction = self.friction.traction(touch.rubbing)
+            friction = rod.node_length[:, None] * traction
+            most = _AT_LIMIT * self.friction.coefficient * touch.rubbing.load
+            holds = jnp.sqrt(jnp.sum(traction**2, 1)) < most
+            holds = holds & self.friction.remembers
+        slip = touch.rubbing.velocity
+        sticks, slides = touches & holds, touches & ~holds
+        return ObstacleContact(touch.gap, normal, friction, slip, sticks, slides)
 
     def energy(self, rod, motion):
         touch = self.touch(rod, motion)

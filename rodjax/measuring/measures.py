@@ -1,6 +1,6 @@
 """Measures of a state or a stored run: topology, apex, constraint error, event times."""
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -13,6 +13,7 @@ from rodjax.inputs.argument_types import AnyArray
 from rodjax.inputs.validation import all_known
 from rodjax.interactions import contact_forces
 from rodjax.interactions.contact_forces import ContactReport
+from rodjax.interactions.obstacles import ObstacleContact
 from rodjax.measuring import energy
 from rodjax.measuring.blocks import over_states
 from rodjax.numerics import rotations
@@ -128,6 +129,25 @@ def contacts(scene: Scene, run: Run) -> ContactReport:
     if scene.contact is None:
         raise ValueError("scene: it has no contact to report")
     return _contacts(run.states, scene)
+
+
+def obstacle_contact(scene: Scene, run: Run, load: int) -> ObstacleContact:
+    """What passes between the nodes and an obstacle at every saved time of a run.
+
+    Args:
+        load: which of `scene.loads` is the obstacle.
+
+    Raises:
+        ValueError: that is none.
+    """
+    if not hasattr(scene.loads[load], "contact"):
+        raise ValueError(f"load: loads[{load}] is no obstacle, but {scene.loads[load]!r}")
+    return over_states(lambda state, scene: _touching(scene, state, load))(run.states, scene)
+
+
+def _touching(scene: Scene, state: State, load: int) -> ObstacleContact:
+    obstacle: Any = scene.recalling(state.memory).loads[load]
+    return obstacle.contact(scene.rod, energy.node_motion(state))
 
 
 @over_states
