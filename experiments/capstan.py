@@ -149,7 +149,9 @@ def creep(friction, elements: int, part: float, seconds: float) -> tuple[np.ndar
 
 def figure(path: Path, runs: list[dict], held: dict) -> None:
     """Where it slips, what holds, and the rope at the moment of slip."""
-    fig, axes = plt.subplots(1, 3, figsize=(13, 4.2), layout="constrained")
+    fig, axes = plt.subplots(
+        1, 3, figsize=(12, 4.2), layout="constrained", width_ratios=(0.55, 1, 1)
+    )
     finest = max(runs, key=lambda run: (run["mu"] == 0.3, run["elements_on_drum"]))
     x, z = 1e3 * finest["shape"][:, 0], 1e3 * finest["shape"][:, 2]
     tension = 1e3 * np.asarray(finest["state"].force[:, 2])
@@ -160,14 +162,21 @@ def figure(path: Path, runs: list[dict], held: dict) -> None:
     mu = np.linspace(0, 0.42, 60)
     axes[1].plot(mu, [theory(m) for m in mu], "k-", label="theory")
     axes[1].plot(mu, [theory(m, False) for m in mu], "k:", label="theory of a thin belt")
-    for elements in sorted({run["elements_on_drum"] for run in runs}):
+    for i, elements in enumerate(sorted({run["elements_on_drum"] for run in runs})):
         some = [run for run in runs if run["elements_on_drum"] == elements]
         label = f"{elements} elements on the drum"
-        axes[1].plot([r["mu"] for r in some], [r["slips_at"] for r in some], "o", ms=5, label=label)
+        axes[1].plot(
+            [r["mu"] for r in some],
+            [r["slips_at"] for r in some],
+            "osd"[i],
+            ms=9 - 2 * i,
+            mfc="none",
+            label=label,
+        )
     axes[1].set(xlabel="coefficient of friction", ylabel="heavy side at slip [m]")
     axes[1].legend(fontsize=8)
     for name, (times, way) in held.items():
-        axes[2].semilogy(times[1:], 1e3 * np.maximum(np.abs(way[1:]), 1e-13), label=name)
+        axes[2].semilogy(times[1:] - times[0], 1e3 * np.maximum(np.abs(way[1:]), 1e-13), label=name)
     axes[2].set(xlabel="time [s]", ylabel="way of the light end [mm]", title="90 % of what slips")
     axes[2].legend(fontsize=8)
     fig.savefig(path, dpi=150)

@@ -117,6 +117,7 @@ class Obstacle(AbstractLoad):
         suction: whether damping may hold back what leaves. By default no obstacle pulls.
         displacement: schedule of three inertial components by which it is moved [m]; None: it
             rests. The velocity counts in damping and friction.
+        memory, dual: set by the equations of a step, see `recalling` and `AbstractFriction.dual`.
     """
 
     shape: AbstractShape
