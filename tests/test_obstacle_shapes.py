@@ -92,19 +92,19 @@ def test_a_rod_without_diameter_is_refused():
 
 
 def test_no_increment_comes_through_and_what_did_is_told():
-    """A ball and a hollow: as much of an increment as leaves three tenths of the way."""
+    """A ball and a hollow: an increment may end half a radius of the rod in them."""
     one, places = rod(), np.zeros((5, 3))
     ball = rx.Obstacle(rx.Sphere((0, 0, 0), 1.0), 1e4)
     places[:, 2], change = 3.0, np.zeros((5, 3))
     change[1, 2] = -5.0
     at = jnp.asarray(places)
     safe = ball.safe_fraction(one, at, jnp.asarray(change), None)
-    np.testing.assert_allclose(safe, 0.7 * 2 / 5, rtol=1e-12)
+    np.testing.assert_allclose(safe, 2.005 / 5, rtol=1e-12)
     assert float(ball.safe_fraction(one, at, jnp.asarray(0.2 * change), None)) == 1.0
     assert int(ball.verdict(one, at, at + change, None)) == rx.Result.OBSTACLE_PASSED
     assert int(ball.verdict(one, at, at + 0.2 * change, None)) == rx.Result.SUCCESS
     bowl = rx.Obstacle(rx.Sphere((0, 0, 0), 3.5, inside=True), 1e4)
     change[1, 2] = 1.0
     safe = bowl.safe_fraction(one, at, jnp.asarray(change), None)
-    np.testing.assert_allclose(safe, 0.7 * 0.5, rtol=1e-12)
+    np.testing.assert_allclose(safe, 0.505, rtol=1e-12)
     assert int(bowl.verdict(one, at, at + change, None)) == rx.Result.OBSTACLE_PASSED

@@ -28,8 +28,9 @@ from rodjax.numerics.results import Result
 from rodjax.rods.rod import Rod
 from rodjax.rods.state import NodeMotion
 
-# What part of a node's distance from a surface one increment of Newton's method may take.
-_SAFE = 0.7
+# How deep an increment of Newton's method may bring a centreline into an obstacle, or deeper than
+# it is, in radii of the rod. (Not less than nothing: a soft soil may be pressed in so far.)
+_DEEPER = 0.5
 
 # Places between two positions of a node that are looked at for an obstacle in the way.
 _LOOKS = 8
@@ -329,9 +330,9 @@ class Obstacle(AbstractLoad):
         # that from end to end
         before, linear = jax.jvp(self._apart, (position,), (change,))
         closing = jnp.maximum(-linear, before - self._apart(position + change))
-        nearing = (before > 0) & (closing > _SAFE * before)
-        fraction = _SAFE * before / jnp.where(nearing, closing, 1.0)
-        return jnp.min(jnp.where(nearing, fraction, 1.0), initial=1.0)
+        most = jnp.maximum(before, 0.0) + _DEEPER * _radius(rod)
+        fraction = most / jnp.where(closing > most, closing, most)
+        return jnp.min(fraction, initial=1.0)
 
     def verdict(self, rod, before, after, found):
         """Whether a node went through the obstacle, or half a diameter into it at once."""
