@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from helpers import random_arrays, random_configuration, relative_difference
+from helpers import random_arrays, random_configuration, relative_difference, slow
 
 from rodjax import rotations
 from rodjax.equations.equations import step_equations
@@ -65,7 +65,10 @@ def rod_of(name):
     return straight_rod(1.0, ELEMENTS, SECTIONS[name], actuation=CURLING)
 
 
-@pytest.mark.parametrize("name", SECTIONS)
+QUICK = ("coupled", "cable", "damped", "plastic")
+
+
+@pytest.mark.parametrize("name", [name if name in QUICK else slow(name) for name in SECTIONS])
 def test_a_step_has_the_derivative_of_its_residual(name):
     scene = Scene(rod_of(name))
     position, quaternion, force = random_configuration(scene.rod, 1, 0.4)

@@ -63,7 +63,8 @@ def cable_section(extensible, **changes):
     return small_section(stiffness=(20.0, 20.0, 0.8), **cable, **changes)
 
 
-@pytest.mark.parametrize("extensible", [False, slow(True)])
+@pytest.mark.slow
+@pytest.mark.parametrize("extensible", [False, True])
 def test_a_straight_cable_twists_and_lengthens_as_theory_says(extensible):
     """Torque against turns and tension against extension, ends turned and left to turn."""
     b, torsion, tension = 0.3, 0.8, 1.7
@@ -124,9 +125,35 @@ def test_waves_of_twist_and_stretch_in_a_cable(extensible):
     np.testing.assert_allclose(1 - run.states.position[1:, -1, 2], tip, atol=2e-3 * np.max(tip))
 
 
+@pytest.mark.slow
+def test_unstable_modes_of_coupled_cables_are_counted_as_they_are():
+    """By elimination as by eigenvalues, below and beyond the thrust at which a column buckles."""
+    coupled, bound = {"coupling": (0.05, 0.2, 0.3)}, 3.0
+    # the other twists as it is thrust, and bends where that is coupled: not a column then
+    cable = {"torque_per_tension": 0.2, "compliance": (0.0, 0.0, 1e-3)}
+    for changes in (coupled, cable):
+        section = small_section(**changes)
+        scene = lambda thrust, section=section: rx.Scene(
+            rx.straight_rod(1.0, N, section),
+            rx.Clamped(),
+            loads=(rx.PointLoad(-1, force=FIXED((0.0, 0.0, -thrust))),),
+        )
+        counts = []
+        for thrust in (0.5 * bound, bound):
+            state, info = rx.equilibrium(
+                scene(thrust), rx.placing(scene(thrust)), load_steps=1, relax=False
+            )
+            found = rx.stability(scene(thrust), state, count=N)
+            assert bool(found.symmetric)
+            assert int(info.unstable) == int(np.sum(np.asarray(found.eigenvalues) < 0))
+            counts.append(int(info.unstable))
+        assert counts[0] == 0 and counts[1] > 0
+
+
 # Damping in the strain rates
 
 
+@pytest.mark.slow
 def test_a_mode_of_a_beam_decays_as_theory_says():
     """zeta = T omega / 2; its loss is in the ledger."""
     damping = 0.04

@@ -98,7 +98,8 @@ class HardMagnetic(AbstractLoad):
         if self.function is None:
             assert self.field is not None  # one of both
             return jnp.broadcast_to(self.field, position.shape).astype(position.dtype)
-        return jax.vmap(lambda x: self.function(self.parameters, x))(position)
+        function = self.function
+        return jax.vmap(lambda x: function(self.parameters, x))(position)
 
     def energy(self, rod, motion):
         return -jnp.sum(self._moments(rod, motion) * self._field(motion.position))

@@ -47,6 +47,11 @@ def regrid(state: State, rod: Rod, *, old: Rod | None = None) -> State:
     check_instance(Rod, "give the rod on its new grid", rod=rod)
     if state.position.ndim != 2:
         raise ValueError("state: give one state, such as `run.final` or `run.state(3)`")
+    if state.memory is not None and state.memory.material is not None:
+        raise ValueError(
+            "state.memory: what a material remembers is not carried over to another grid; go on on"
+            " its own, or drop it by dataclasses.replace(state, memory=None)"
+        )
     if rod.torque_per_tension is not None:
         raise ValueError(
             "torque_per_tension: the stretch of such a cable follows its twist, which is not"
