@@ -192,6 +192,12 @@ def constraint_tangent(rod: Rod, kinematics: Strains) -> ElementTangent:
     )
 
 
+def _product(a: Float[Array, "n i 3"], b: Float[Array, "n 3 j"]) -> Float[Array, "n i j"]:
+    """a @ b, by sums that fuse with what is around them."""
+    first, second, third = (a[:, :, k, None] * b[:, k, None, :] for k in range(3))
+    return first + second + third
+
+
 def _constraint_spin(rod: Rod, kinematics: Strains, a, spin) -> Float[Array, "n 3 6"]:
     """Derivative of g by the spins of both nodes."""
     found = rotations.hat(kinematics.stretch) @ spin
@@ -271,7 +277,7 @@ def element_tangent(
     else:
         by_curvature, by_rate = constitution.moment_slopes(rod, phi, motion)
         bend = by_curvature / rod.gauge_length[:, None, None]
-        pushed = a @ bend, transpose(a) @ bend
+        pushed = _product(a, bend), _product(transpose(a), bend)
     by_phi = jnp.concatenate([alike - opposite - pushed[0], alike + opposite + pushed[1]], 1)
     phi_spin = jnp.concatenate([-transpose(a), a], 2)
     force_skew = hat(force)
