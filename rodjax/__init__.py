@@ -27,6 +27,11 @@ from rodjax.constraints.ends import Pinned as Pinned
 from rodjax.constraints.ends import Slider as Slider
 from rodjax.constraints.ends import Switched as Switched
 from rodjax.constraints.ends import Turn as Turn
+from rodjax.constraints.joints import Ball as Ball
+from rodjax.constraints.joints import Hinge as Hinge
+from rodjax.constraints.joints import Point as Point
+from rodjax.constraints.joints import Slide as Slide
+from rodjax.constraints.joints import Weld as Weld
 from rodjax.constraints.supports import Support as Support
 from rodjax.dynamics.adaptive import adaptive_rollout as adaptive_rollout
 from rodjax.dynamics.consistency import start as start
@@ -88,6 +93,7 @@ from rodjax.rods.linear_material import LinearMaterial as LinearMaterial
 from rodjax.rods.material import AbstractMaterial as AbstractMaterial
 from rodjax.rods.material import ElementMotion as ElementMotion
 from rodjax.rods.regridding import regrid as regrid
+from rodjax.rods.ring import ring as ring
 from rodjax.rods.rod import Rod as Rod
 from rodjax.rods.section import Section as Section
 from rodjax.rods.section import circular_section as circular_section
@@ -169,6 +175,7 @@ __all__ = [
     "AbstractMaterial",
     "AbstractSchedule",
     "AbstractShape",
+    "Ball",
     "Barrier",
     "Clamped",
     "Constant",
@@ -190,6 +197,7 @@ __all__ = [
     "Gravity",
     "HardMagnetic",
     "HeightField",
+    "Hinge",
     "Huber",
     "Interrupted",
     "Interval",
@@ -209,6 +217,7 @@ __all__ = [
     "PiecewiseLinearRate",
     "Pinned",
     "Plane",
+    "Point",
     "PointLoad",
     "Positive",
     "Result",
@@ -219,6 +228,7 @@ __all__ = [
     "Section",
     "SignedDistance",
     "SimulationError",
+    "Slide",
     "Slider",
     "SlidingFriction",
     "Smooth",
@@ -230,6 +240,7 @@ __all__ = [
     "Switched",
     "Turn",
     "Unbounded",
+    "Weld",
     "adaptive_rollout",
     "check",
     "circular_section",
@@ -248,6 +259,7 @@ __all__ = [
     "plot",
     "positions_at",
     "regrid",
+    "ring",
     "rollout",
     "rotations",
     "semidiscrete",

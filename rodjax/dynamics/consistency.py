@@ -159,20 +159,28 @@ def restart(
     velocities, accelerations = zip(*system.prescribed(ends.rates), strict=True)
 
     if rod.mass is None:
-        rate, force = system.rates(wrench, given, velocities)
+        right = system.joint_derivatives(still, still, 1)
+        rate, force, joints = system.rates(wrench, given, velocities, right)
         new = dataclasses.replace(
-            state, rate=rate, acceleration=still, auxiliary=still, force=force
+            state, rate=rate, acceleration=still, auxiliary=still, force=force, joints=joints
         )
         return new, loss
 
     right = jnp.where(system.rigid > 0, -system.stretch_derivatives(rate, still, 2)[1], given)
-    acceleration, force = system.rates(wrench, right, accelerations)
+    of_joints = system.joint_derivatives(rate, still, 2)
+    acceleration, force, joints = system.rates(wrench, right, accelerations, of_joints)
     new = dataclasses.replace(
-        state, rate=rate, acceleration=acceleration, auxiliary=acceleration, force=force
+        state,
+        rate=rate,
+        acceleration=acceleration,
+        auxiliary=acceleration,
+        force=force,
+        joints=joints,
     )
     if with_jerk:
         right = -system.rigid * system.stretch_derivatives(rate, acceleration, 3)[2]
-        jerk, _ = system.rates(still, right, system.prescribed(ends.jerk))
+        of_joints = system.joint_derivatives(rate, acceleration, 3)
+        jerk = system.rates(still, right, system.prescribed(ends.jerk), of_joints)[0]
         new = dataclasses.replace(new, jerk=jerk)
     return new, loss
 

@@ -164,7 +164,7 @@ def advance_to(
         jerk = jnp.zeros_like(state.jerk)
         state = dataclasses.replace(state, rate=rate, auxiliary=auxiliary, jerk=jerk)
     equations = step_equations(scene, state, stop, radius)
-    guess = equations.guess(state.force)
+    guess = equations.guess(state.force, state.joints)
     found = Found()
     if scene.interactions:
         found = scene.find(state.position, equations.increment(guess)[:, :3])
@@ -189,6 +189,7 @@ def advance_to(
         equations.force(x),
         None if settling is None else jnp.maximum(settling - 1, 0).astype(jnp.int32),
         state.jerk,
+        joints=equations.joints(x),
         breaks=state.breaks,
     )
     if scene.remembers:

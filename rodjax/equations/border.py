@@ -77,17 +77,15 @@ class BorderedSystem(eqx.Module):
 
     def solve(self, b: Vector) -> Vector:
         """Solution of the system."""
-        return _solved(self.system.solve, self.border, b)
+        return solved(self.system.solve, self.border, b)
 
     def solve_transpose(self, b: Vector) -> Vector:
         """Solution of the transposed system."""
-        return _solved(self.system.solve_transpose, self.border.transpose(), b)
+        return solved(self.system.solve_transpose, self.border.transpose(), b)
 
     def eliminate(self) -> "EliminatedBorder":
         """The system ready for several right sides; see `CoupledSystem.eliminate`."""
-        eliminated = self.system.eliminate()
-        response = jax.vmap(eliminated.solve)(self.border.columns)
-        return EliminatedBorder(eliminated, self.border, response)
+        return EliminatedBorder.of(self.system, self.border)
 
 
 class EliminatedBorder(eqx.Module):
@@ -96,6 +94,12 @@ class EliminatedBorder(eqx.Module):
     eliminated: Eliminated | EliminatedBlocks
     border: Border
     response: Float[Array, "k nodes 9"]
+
+    @classmethod
+    def of(cls, system, border: Border) -> "EliminatedBorder":
+        """Of a system, with a border."""
+        eliminated = system.eliminate()
+        return cls(eliminated, border, jax.vmap(eliminated.solve)(border.columns))
 
     def solve(self, b: Vector) -> Vector:
         """Solution for one right side."""
@@ -115,7 +119,7 @@ class EliminatedBorder(eqx.Module):
         return self.eliminated.negative() + negative_in_all(complement[None])
 
 
-def _solved(solve: Callable, border: Border, b: Vector) -> Vector:
+def solved(solve: Callable, border: Border, b: Vector) -> Vector:
     """The solution by a `solve` for the nodes, whose matrix is eliminated once for all columns."""
     columns = jax.vmap(solve)(jnp.concatenate([b.nodes[None], border.columns]))
     return _closed(border, b, columns[0], columns[1:])

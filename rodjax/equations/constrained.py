@@ -10,13 +10,15 @@ from jax import lax
 from jaxtyping import Array, Float
 
 from rodjax.constraints import ends
+from rodjax.equations import joint_terms
 from rodjax.equations.assembly import Scales, assemble, residual_rows
 from rodjax.equations.coupled import CoupledSystem
+from rodjax.equations.jointed import JointedSystem
 from rodjax.interactions.load import total_wrench
 from rodjax.numerics import newton
 from rodjax.numerics.block_tridiagonal import BlockTridiagonal
 from rodjax.rods import balance, inertia, stretch_rates
-from rodjax.rods.state import NodeMotion, State
+from rodjax.rods.state import NodeMotion, State, at_rest
 from rodjax.rods.strains import Strains, strains
 from rodjax.scenes.holds import impose, rows_at
 from rodjax.scenes.scene import Scene, projectors
@@ -32,7 +34,8 @@ class Constrained(eqx.Module):
     projectors: Float[Array, "h 6 6"]
     scales: Scales
     mass: Float[Array, "nodes 6 6"]
-    system: CoupledSystem  # of `multiply`, without derivative
+    system: CoupledSystem | JointedSystem  # of `multiply`, without derivative
+    joints: Float[Array, "j 6 2 6"] | None  # their slopes
 
     @classmethod
     def of(cls, scene: Scene, state: State) -> "Constrained":
@@ -47,23 +50,44 @@ class Constrained(eqx.Module):
         tangent = balance.constraint_tangent(rod, kinematics)
         blocks = _release(assemble(rod, tangent, matrix, both, scene.held_nodes, scales), rigid)
         system = CoupledSystem(lax.stop_gradient(blocks))
-        return cls(scene, state, kinematics, rigid, both, scales, matrix, system)
+        joints = None
+        if scene.joints:
+            motion = at_rest(state.time, state.position, state.quaternion)
+            joints = joint_terms.slopes(scene, motion)
+            at = both, scene.held_nodes, scales
+            border = joint_terms.border_of(scene, joints, None, *at)
+            system = JointedSystem(system, lax.stop_gradient(border), len(scene.joints))
+        return cls(scene, state, kinematics, rigid, both, scales, matrix, system, joints)
 
     def multiply(self, x: Float[Array, "nodes 9"]) -> Float[Array, "nodes 9"]:
         """The matrix times scaled rates and multipliers, without the matrix.
 
         The solution is differentiated through this, which costs less than through the blocks.
         """
-        scales, rate = self.scales, self.scales.change(x)
+        rows, scales = x, self.scales
+        x = self._of_nodes(rows)
+        rate = scales.change(x)
         wrench = jnp.einsum("nij,nj->ni", self.mass, rate) + balance.constraint_wrench(
             self.scene.rod, self.kinematics, scales.internal_force(x)
         )
+        if self.joints is not None:
+            forces = joint_terms.gathered(rows[len(x) :]) * scales.wrench
+            lacking = jnp.einsum("jikl,ji->jkl", self.joints, forces)
+            wrench = wrench + joint_terms.on_nodes(self.scene, lacking)
         nodes = self.scene.held_nodes
         moved = rows_at(rate, nodes) / scales.motion[None]
         wrench = impose(wrench / scales.wrench[None], moved, self.projectors, nodes)
         stretching = self._stretching(rate, jnp.zeros_like(rate), 1)[0]
         constraint = self.rigid * stretching + (1 - self.rigid) * x[1:, 3:6]
-        return residual_rows(x, constraint, wrench)
+        result = residual_rows(x, constraint, wrench)
+        if self.joints is None:
+            return result
+        gap = jnp.einsum("jikl,jkl->ji", self.joints, joint_terms.at_points(self.scene, rate))
+        own = joint_terms.rows_of(self.scene, gap, forces, scales)
+        return jnp.concatenate([result, own.at[:, 3:6].set(rows[len(x) :, 3:6])])
+
+    def _of_nodes(self, x):
+        return x[: self.scene.rod.elements + 1] if self.scene.joints else x
 
     def solve(self, b: Float[Array, "nodes 9"]) -> Float[Array, "nodes 9"]:
         """Solution of the scaled system."""
@@ -73,16 +97,32 @@ class Constrained(eqx.Module):
         """Solution of the transposed one."""
         return _refined(self.system.transpose(), b)
 
-    def rates(self, wrench, constraint, prescribed):
-        """Rates (n+1, 6) and multipliers (n, 3) for balance, constraint and end right sides."""
+    def rates(self, wrench, constraint, prescribed, joints=None):
+        """Rates (n+1, 6), multipliers of elements (n, 3) and of joints (j, 6) or None, for right
+        sides of balances, constraint, ends and joints.
+        """
         scales = self.scales
         goals = jnp.stack(prescribed) / scales.motion[None]
         nodes = self.scene.held_nodes
         right = impose(wrench / scales.wrench[None], goals, self.projectors, nodes)
         pad = jnp.zeros_like(constraint[:1])
         b = jnp.concatenate([jnp.concatenate([pad, constraint]), right], 1)
+        if joints is not None:
+            b = jnp.concatenate([b, joint_terms.spread(joints / scales.motion)])
         x = newton.solve_linear(_LinearEquations(self, b))
-        return scales.change(x), scales.internal_force(x)
+        nodes = self._of_nodes(x)
+        forces = None
+        if joints is not None:
+            forces = joint_terms.gathered(x[len(nodes) :]) * scales.wrench
+        return scales.change(nodes), scales.internal_force(nodes), forces
+
+    def joint_derivatives(self, rate, acceleration, order):
+        """What joints ask of the rates of this order: minus the derivative that motion gives."""
+        if not self.scene.joints:
+            return None
+        state = self.state
+        motion = at_rest(state.time, state.position, state.quaternion)
+        return -joint_terms.rates_of_gaps(self.scene, motion, rate, acceleration, order)
 
     def stretch_derivatives(self, rate, acceleration, order):
         """See `stretch_rates`; with what actuation adds."""
@@ -122,7 +162,8 @@ class Constrained(eqx.Module):
             )
         )
         stretching = self.stretch_derivatives(rate, still, 1)[0]
-        new = rate + self.rates(still, -self.rigid * stretching, gap)[0]
+        joints = self.joint_derivatives(rate, still, 1)
+        new = rate + self.rates(still, -self.rigid * stretching, gap, joints)[0]
         energy = lambda rate: inertia.kinetic_energy(self.scene, self.moving(rate))
         return new, energy(rate) - energy(new)
 
@@ -143,7 +184,9 @@ class _LinearEquations(eqx.Module):
         return dx
 
 
-def _refined(system: CoupledSystem, b: Float[Array, "nodes 9"]) -> Float[Array, "nodes 9"]:
+def _refined(
+    system: CoupledSystem | JointedSystem, b: Float[Array, "nodes 9"]
+) -> Float[Array, "nodes 9"]:
     """Solution with one step of iterative refinement."""
     eliminated = system.eliminate()
     refine = lambda _, x: x + eliminated.solve(b - system.multiply(x))
@@ -169,7 +212,7 @@ def _inertia_matrix(scene: Scene, state: State) -> Float[Array, "nodes 6 6"]:
     which decides nothing but how the fastest, unobservable rates are started.
     """
     rod = scene.rod
-    at_rest = NodeMotion(
+    resting = NodeMotion(
         state.time,
         state.position,
         state.quaternion,
@@ -180,10 +223,10 @@ def _inertia_matrix(scene: Scene, state: State) -> Float[Array, "nodes 6 6"]:
     if rod.mass is None:
 
         def wrench(rate):
-            moving = at_rest._replace(velocity=rate[:, :3], angular_velocity=rate[:, 3:])
+            moving = resting._replace(velocity=rate[:, :3], angular_velocity=rate[:, 3:])
             return -total_wrench(scene.loads, rod, moving)
     else:
-        wrench = lambda rate: inertia.inertial_wrench(scene, at_rest, rate)
+        wrench = lambda rate: inertia.inertial_wrench(scene, resting, rate)
     matrix = inertia.node_jacobian(wrench, zero)
     segment = jnp.trace(matrix[:, :3, :3], axis1=1, axis2=2) / 3 * rod.node_length**2 / 12
     angular = jnp.diagonal(matrix[:, 3:, 3:], axis1=1, axis2=2)

@@ -9,6 +9,7 @@ from jax import lax
 from jaxtyping import Array, Float
 
 from rodjax.constraints import ends
+from rodjax.equations import joint_terms
 from rodjax.equations.anchored import Anchor, AnchoredSystem
 from rodjax.equations.assembly import Scales, assemble, residual_rows
 from rodjax.equations.coupled import CoupledSystem
@@ -21,6 +22,7 @@ from rodjax.equations.imbalance import (
     of_contact,
     of_loads,
 )
+from rodjax.equations.jointed import JointedSystem
 from rodjax.equations.schemes import AbstractScheme, Step
 from rodjax.interactions.self_contact import FoundContact
 from rodjax.numerics import newton, rotations
@@ -89,13 +91,31 @@ class Equations(eqx.Module, Generic[Scheme]):
         held = projectors(scene, start.time)
         return cls(scene, scheme, time, _scales(scene, scheme), held, goals, found)
 
-    def guess(self, force: Float[Array, "n 3"]) -> Float[Array, "nodes 9"]:
-        """x as the scheme expects it, with these internal forces of the elements."""
-        return self.scales.unknowns(self.scheme.expected(), force)
+    def guess(
+        self, force: Float[Array, "n 3"], joints: Float[Array, "j 6"] | None = None
+    ) -> Float[Array, "rows 9"]:
+        """x as the scheme expects it, with these forces of the elements, and of the joints."""
+        nodes = self.scales.unknowns(self.scheme.expected(), force)
+        if not self.scene.joints:
+            return nodes
+        if joints is None:
+            joints = jnp.zeros((len(self.scene.joints), 6), nodes.dtype)
+        return jnp.concatenate([nodes, joint_terms.spread(joints / self.scales.wrench)])
+
+    def of_nodes(self, x) -> Float[Array, "nodes 9"]:
+        """The rows of the nodes."""
+        return x[: self.scene.rod.elements + 1] if self.scene.joints else x
+
+    def joints(self, x) -> Float[Array, "j 6"] | None:
+        """Multipliers of the joints, forces [N] and moments [N m]."""
+        if not self.scene.joints:
+            return None
+        rows = x[self.scene.rod.elements + 1 :]
+        return joint_terms.gathered(rows) * self.scales.wrench
 
     def change(self, x) -> Float[Array, "nodes 6"]:
         """What x adds to the scheme's prediction, displacement [m] and rotation vector [rad]."""
-        return self.scales.change(x)
+        return self.scales.change(self.of_nodes(x))
 
     def increment(self, x) -> Float[Array, "nodes 6"]:
         """Displacement [m] and rotation vector [rad] of the nodes."""
@@ -103,7 +123,7 @@ class Equations(eqx.Module, Generic[Scheme]):
 
     def force(self, x) -> Float[Array, "n 3"]:
         """Internal force of the elements [N]."""
-        return self.scales.internal_force(x)
+        return self.scales.internal_force(self.of_nodes(x))
 
     def motion(self, x) -> NodeMotion:
         """The nodes at x."""
@@ -141,11 +161,18 @@ class Equations(eqx.Module, Generic[Scheme]):
         scales = self.scales
         nodes = self.scene.held_nodes
         gaps = _gaps(self.goals, rows_at(placed.increment, nodes)) / scales.motion[None]
+        joints = self.joints(x)
+        if joints is not None:
+            wrench = wrench - joint_terms.exerted(scene, motion, joints)
         balances = impose(wrench / scales.wrench[None], gaps, self.projectors, nodes)
-        return residual_rows(x, constraint, balances)
+        rows = residual_rows(self.of_nodes(x), constraint, balances)
+        if joints is None:
+            return rows
+        gap = joint_terms.gaps(scene, motion)
+        return jnp.concatenate([rows, joint_terms.rows_of(scene, gap, joints, scales)])
 
     @jax.named_scope("linearize")
-    def linearize(self, x) -> CoupledSystem | AnchoredSystem:
+    def linearize(self, x) -> CoupledSystem | AnchoredSystem | JointedSystem:
         """Derivative of the residual by the increments that `lift` takes."""
         placed = self._placed(x)
         return self._system(x, placed, self._contact(placed.motion)[1])
@@ -180,16 +207,24 @@ class Equations(eqx.Module, Generic[Scheme]):
         tangent = balance.element_tangent(scene.rod, motion, self.force(x), moving)
         node = node_tangent(scene, motion, moving=moving, load_factor=scheme.load_part())
         node = scheme.stiffened(placed.change, node)
+        joints, jointed = self.joints(x), lambda system: system
+        if joints is not None:
+            found = joint_terms.terms(scene, motion, joints)
+            node = node + joint_terms.own_tangent(scene, found)
+            at = self.projectors, scene.held_nodes, self.scales
+            border = joint_terms.border_of(scene, found.slope, found.curvature, *at)
+            jointed = lambda system: JointedSystem(system, border, len(scene.joints))
         anchors = anchors_of(scene)
         if slopes is not None or _at_ends(scene, anchors):
             held = self.projectors, scene.held_nodes
-            return CoupledSystem(assemble(scene.rod, tangent, node, *held, self.scales), coupling)
+            blocks = assemble(scene.rod, tangent, node, *held, self.scales)
+            return jointed(CoupledSystem(blocks, coupling))
         # what lies before a node is not held without inertia, or held twice: see `anchored`
         nowhere = jnp.zeros((0, 6, 6), x.dtype), ()
         free = assemble(scene.rod, tangent, node, *nowhere, self.scales)
         coupling = None if coupling is None else coupling.held(*nowhere)
         held = self.projectors, scene.held_nodes
-        return AnchoredSystem(CoupledSystem(free, coupling), *held, anchors)
+        return jointed(AnchoredSystem(CoupledSystem(free, coupling), *held, anchors))
 
     def iterate(self, x, tolerance, max_iterations):
         """Newton's iteration, with a held derivative where pairs are near.
@@ -240,7 +275,8 @@ class Equations(eqx.Module, Generic[Scheme]):
     def lift(self, x, dx):
         """Increment of x for solved increments, whose rotations are body spins."""
         turn = self.increment(x)[:, 3:]
-        return dx.at[:, 6:].set(rotations.tangent_inverse_apply(turn, dx[:, 6:]))
+        nodes = slice(None, len(turn)) if self.scene.joints else slice(None)
+        return dx.at[nodes, 6:].set(rotations.tangent_inverse_apply(turn, dx[nodes, 6:]))
 
     def retract(self, x, dx):
         """x after a solved increment."""
@@ -248,7 +284,7 @@ class Equations(eqx.Module, Generic[Scheme]):
 
     def limit(self, x, dx):
         """How much of an increment turns no node too far and is safe for all that acts."""
-        scale = jnp.ones((), x.dtype)
+        scale, dx = jnp.ones((), x.dtype), self.of_nodes(dx)
         most = self.scheme.turn_limit()
         if most is not None:
             largest = jnp.sqrt(jnp.max(jnp.sum(dx[:, 6:] ** 2, 1)))
@@ -278,16 +314,19 @@ class Equations(eqx.Module, Generic[Scheme]):
         scale = _LARGEST_TURN / jnp.maximum(turn, _LARGEST_TURN)
         scale = self._safe(scale, self.scheme.origin()[0], full[:, :3])
         change = (scale - 1) * full
-        return x.at[:, :3].add(change[:, :3] / self.scales.length).at[:, 6:].add(change[:, 3:])
+        nodes = slice(None, len(full)) if self.scene.joints else slice(None)
+        moved = x.at[nodes, :3].add(change[:, :3] / self.scales.length)
+        return moved.at[nodes, 6:].add(change[:, 3:])
 
     def size(self, dx):
         """Largest rotation [rad], or displacement as the scheme compares it with that."""
+        dx = self.of_nodes(dx)
         shift = jnp.max(jnp.abs(dx[:, :3])) / self.scheme.lever(self.scene.rod)
         return jnp.maximum(shift, jnp.max(jnp.abs(dx[:, 6:])))
 
     def rotation(self, dx):
         """Largest rotation [rad], all that the constraint of the elements is not linear in."""
-        return jnp.sqrt(jnp.max(jnp.sum(dx[:, 6:] ** 2, 1)))
+        return jnp.sqrt(jnp.max(jnp.sum(self.of_nodes(dx)[:, 6:] ** 2, 1)))
 
 
 def anchors_of(scene: Scene) -> tuple[Anchor, ...]:

@@ -221,6 +221,8 @@ def _equilibrium(
     at_rest = zero, zero, zero, force
     breaks = scene.rod.breaks
     new = State(time, motion.position, quaternion, *at_rest, memory=memory, breaks=breaks)
+    if scene.joints:
+        new = dataclasses.replace(new, joints=equations.joints(x))
     return new, EquilibriumInfo(
         result=path.result,
         iterations=path.iterations,

@@ -163,7 +163,7 @@ def follow(
         trial = equations(target, reference, memory, sigma, path.repeats.astype(path.x.dtype))
         # the first time round only the start's modes are counted
         most = jnp.where(opening, 0, max_iterations)
-        guess = trial.guess(force)
+        guess = trial.guess(force, state.joints)
         if scene.rubs:
             x, solved = newton.iterate_dual(trial, guess, tolerance, most)
         else:
@@ -172,7 +172,7 @@ def follow(
         result = results.join(
             solved.result,
             code(
-                _astray(scene.rod, reference[1], trial.motion(x).quaternion, x),
+                _astray(scene.rod, reference[1], trial.motion(x).quaternion, trial.of_nodes(x)),
                 Result.ROTATION_TOO_LARGE,
             ),
             code(driven, Result.DRIVE_TOO_FAST),
@@ -251,7 +251,7 @@ def follow(
     no = jnp.asarray(False)
     nowhere = jnp.zeros_like(first)
     reference = state.position, state.quaternion
-    x = equations(nowhere, reference, state.memory).guess(state.force)
+    x = equations(nowhere, reference, state.memory).guess(state.force, state.joints)
     unstable = jnp.where(leave == ACCEPT, _NOT_COUNTED, _UNKNOWN).astype(jnp.int32)
     path = Path(first, reference, x, none, none, none, none, nowhere, unstable, none, state.memory)
     descent = _Descent(no, nowhere, reference, state.force, nowhere, no, none, none, none)

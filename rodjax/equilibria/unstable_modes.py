@@ -114,7 +114,7 @@ def _tangent(equations: Equations[AtRest], x) -> BlockTridiagonal:
     for place, held in zip(scene.held_nodes, holding, strict=True):
         lacking = with_row(lacking, place, lacking[place] - held @ lacking[place])
     if scheme.resistance is not None:
-        lacking = lacking - scheme.resistance[:, 3:] * x[:, 6:]
+        lacking = lacking - scheme.resistance[:, 3:] * equations.of_nodes(x)[:, 6:]
     node = node.at[:, 3:, 3:].add(-0.5 * rotations.hat(lacking))
     nowhere = jnp.zeros((0, 6, 6), node.dtype), ()
     blocks = assemble(scene.rod, elements, node, *nowhere, equations.scales)

@@ -5,6 +5,7 @@ from typing import NamedTuple
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from rodjax.equations import joint_terms
 from rodjax.equations.imbalance import Acting, acting_on, imbalance
 from rodjax.measuring.energies import node_motion
 from rodjax.numerics import rotations
@@ -15,7 +16,10 @@ from rodjax.scenes.scene import Scene, projectors
 
 def unbalanced(scene: Scene, state: State, acting: Acting) -> Float[Array, "h 6"]:
     """Inertia + internal - external wrench of the nodes that are held: what must be supplied."""
-    wrench, _ = imbalance(scene, node_motion(state), state.force, acting, state.acceleration)
+    motion = node_motion(state)
+    if state.joints is not None:
+        acting = (*acting, joint_terms.exerted(scene, motion, state.joints))
+    wrench, _ = imbalance(scene, motion, state.force, acting, state.acceleration)
     return rows_at(wrench, scene.held_nodes)
 
 

@@ -40,6 +40,8 @@ class State(eqx.Module):
         force: (f1, f2, f3) of the elements, f3 along the tangent, tension positive [N].
         settling: a count of steps.
         memory: what loads and material remember; None in scenes where nothing does.
+        joints: of each joint of the scene the force (inertial) and moment that it exerts on its
+            first point [N, N m], see `constraints.joints`; None without joints.
         breaks: of several rods the elements that are none, see `Rod.breaks` and `states_of`.
     """
 
@@ -53,6 +55,7 @@ class State(eqx.Module):
     settling: Int[Array, ""] | None = None
     jerk: Float[Array, "nodes 6"] | None = None
     memory: Memory | None = None
+    joints: Float[Array, "j 6"] | None = None
     breaks: tuple[int, ...] = eqx.field(static=True, default=())
 
     @property

@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from rodjax.constraints.ends import AbstractEnd, Free, check_end
+from rodjax.constraints.joints import AbstractJoint
 from rodjax.constraints.supports import Support
 from rodjax.inputs.brief import brief
 from rodjax.inputs.validation import all_known, as_traced, check_instance, known
@@ -87,6 +88,7 @@ class Scene(eqx.Module):
             through each other.
         supports: what holds it between its ends, a tuple of `Support`.
         inner_ends: of several rods, the last end of the first, the first of the second, and so on.
+        joints: what joins points of rods, a tuple of `Weld`, `Ball`, `Hinge`, `Slide`.
     """
 
     rod: Rod
@@ -97,6 +99,7 @@ class Scene(eqx.Module):
     contact: Contact | None = eqx.field(converter=_with_arrays, default=None)
     supports: tuple[Support, ...] = eqx.field(converter=_with_arrays, default=())
     inner_ends: tuple[AbstractEnd, ...] = eqx.field(converter=_with_arrays, default=())
+    joints: tuple[AbstractJoint, ...] = eqx.field(converter=_with_arrays, default=())
 
     def __init__(
         self,
@@ -107,6 +110,7 @@ class Scene(eqx.Module):
         contact: Contact | None = None,
         supports: tuple[Support, ...] = (),
         inner_ends: tuple[AbstractEnd, ...] = (),
+        joints: tuple[AbstractJoint, ...] = (),
         *,
         rods: Sequence[Rod] | None = None,
     ):
@@ -115,7 +119,7 @@ class Scene(eqx.Module):
             first_end, last_end, inner_ends = _ends_of(len(rods), first_end, last_end)
         if isinstance(contact, Contact) and isinstance(rod, Rod):
             contact = contact.fitted(rod)
-        given = (rod, first_end, last_end, loads, contact, supports, inner_ends)
+        given = (rod, first_end, last_end, loads, contact, supports, inner_ends, joints)
         for field, value in zip(dataclasses.fields(self), given, strict=True):
             setattr(self, field.name, value)
 
@@ -131,6 +135,7 @@ class Scene(eqx.Module):
             check_potential(load, self.rod, f"loads[{i}]")
         self._check_supports()
         check_law(self.rod)
+        self._check_joints()
         for held in self.holds:
             probing.check_end(held.end, held.name)
         if self.rod.mass is None:
@@ -187,6 +192,46 @@ class Scene(eqx.Module):
                 )
             taken[node] = name
 
+    def _check_joints(self):
+        if not isinstance(self.joints, tuple):
+            raise ValueError("joints: give a tuple, for one joint (joint,)")
+        mend = "give a joint such as Ball(Point(-1, rod=0), Point(0, rod=1))"
+        check_instance(
+            AbstractJoint, mend, **{f"joints[{i}]": joint for i, joint in enumerate(self.joints)}
+        )
+        for i, joint in enumerate(self.joints):
+            frames = []
+            for which, point in (("first", joint.first), ("second", joint.second)):
+                name = f"joints[{i}].{which}"
+                if point.rod >= len(self.rod.parts):
+                    raise ValueError(
+                        f"{name}: rod: the scene's rods are 0 to {len(self.rod.parts) - 1}, got"
+                        f" {point.rod}"
+                    )
+                part = self.rod.parts[point.rod]
+                node, last = point.place(self.rod.parts), part.last - part.first
+                if not part.first <= node <= part.last:
+                    raise ValueError(
+                        f"{name}: node: a rod of {last} elements has the nodes 0 to {last}, or"
+                        f" {-last - 1} to -1, got {point.node}"
+                    )
+                frames.append((node, (self.rod.position[node], self.rod.quaternion[node])))
+            (a, first), (b, second) = frames
+            if a == b:
+                raise ValueError(f"joints[{i}]: both points are at node {a}; give two nodes")
+            with jax.ensure_compile_time_eval():
+                apart = joint.projector()[:3, :3] @ joint.translation(first, second)
+            length = self.rod.length
+            if not all_known((apart, length)):
+                continue
+            most = 1e-6 * float(np.sum(np.asarray(length)))
+            if not np.linalg.norm(np.asarray(apart)) <= most:
+                raise ValueError(
+                    f"joints[{i}]: its points are {np.linalg.norm(np.asarray(apart)):.3g} apart in"
+                    " directions that it holds, as the rods are placed; place them so that they"
+                    " meet, or give the points offsets"
+                )
+
     def _check_inertialess(self):
         found = [load.resistance for load in self.loads]
         drags = [resistance for resistance in found if resistance is not None]
@@ -201,7 +246,7 @@ class Scene(eqx.Module):
 
     def __repr__(self) -> str:
         fields = [f.name for f in dataclasses.fields(self)]
-        for name in ("supports", "inner_ends"):
+        for name in ("supports", "inner_ends", "joints"):
             if not getattr(self, name):
                 fields.remove(name)
         parts = [f"    {name}={brief(getattr(self, name))}," for name in fields]
@@ -351,6 +396,8 @@ class Scene(eqx.Module):
         where the kinds of the ends exclude it; else it follows from where the rod is placed, in
         traced code as well.
         """
+        if not self.rod.breaks and self._welded(0):
+            return True
         fixed = [end.fixed for end in self.ends]
         diameter = self.rod.diameter
         if diameter is None or any(one is False for one in fixed):
@@ -361,6 +408,13 @@ class Scene(eqx.Module):
         for one in fixed:
             closed = closed & one
         return closed
+
+    def _welded(self, index: int) -> bool:
+        """Whether a joint holds the two ends of one of the rods together, frames and all."""
+        part = self.rod.parts[index]
+        both = {(part.first, part.last), (part.last, part.first)}
+        places = lambda joint: tuple(x.place(self.rod.parts) for x in (joint.first, joint.second))
+        return any(joint.rejoins and places(joint) in both for joint in self.joints)
 
     @property
     def switch_times(self) -> tuple[Float[Array, ""], ...]:

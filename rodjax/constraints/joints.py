@@ -1,0 +1,184 @@
+"""Joints between two points of rods: what they take away of the motion of one against the other.
+
+The two points come together in a joint, and its second frame is where the placing of the rods has
+it from the first. With t the vector from the first point to the second (inertial axes, those of the
+first frame in a `Slide`) and r the rotation of the second frame from where it was placed (axes of
+the first), a joint holds P (t, r) = 0, P its projector. It exerts a force and a moment, P of six
+multipliers, on the first point and the opposite on the second; they do no work.
+"""
+
+import abc
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from rodjax.constraints.ends import _check_axis, _unit
+from rodjax.inputs.validation import as_float, check_instance, check_integer, check_numbers, shown
+from rodjax.numerics import rotations
+
+Frame = tuple[Float[Array, "3"], Float[Array, "4"]]  # position [m], unit quaternion
+
+
+class Point(eqx.Module):
+    """A point that moves with a node.
+
+    Attributes:
+        node: its number, from 0 at s = 0 of its rod; negative from s = L (-1 is the last).
+        rod: which of the rods of the scene, from 0.
+        offset: from the node, in the body frame there [m].
+    """
+
+    node: int = eqx.field(static=True)
+    rod: int = eqx.field(static=True, default=0)
+    offset: Float[Array, "3"] = eqx.field(converter=as_float, default=(0.0, 0.0, 0.0))
+
+    def __check_init__(self):
+        check_integer(-100_000, 100_000, node=self.node)
+        check_integer(0, 10_000, rod=self.rod)
+        check_numbers(offset=self.offset)
+        if jnp.shape(self.offset) != (3,):
+            raise ValueError(f"offset: give three components, got {shown(self.offset)}")
+
+    def place(self, parts) -> int:
+        """The node among those of the scene, of rods that stand in these parts."""
+        part = parts[self.rod]
+        return self.node + (part.last + 1 if self.node < 0 else part.first)
+
+    def at(self, frame: Frame) -> Float[Array, "3"]:
+        """Where it is for a position and a frame of its node."""
+        position, quaternion = frame
+        return position + rotations.rotate(quaternion, self.offset.astype(position.dtype))
+
+
+class AbstractJoint(eqx.Module):
+    """What two points cannot do against each other.
+
+    Attributes:
+        first, second: the points, of one rod or of two.
+    """
+
+    first: eqx.AbstractVar[Point]
+    second: eqx.AbstractVar[Point]
+
+    @abc.abstractmethod
+    def projector(self) -> Float[Array, "6 6"]:
+        """Projector on the directions (t, r) that it takes away."""
+
+    @property
+    def turning(self) -> bool:
+        """Whether its directions turn with the first frame, or it holds rotations."""
+        return True
+
+    @property
+    def rejoins(self) -> bool:
+        """Whether its kind makes one piece of what it joins."""
+        return False
+
+    def translation(self, first: Frame, second: Frame) -> Float[Array, "3"]:
+        """t [m]."""
+        return self.second.at(second) - self.first.at(first)
+
+    def rotation(self, first: Frame, second: Frame, placed: Float[Array, "4"]) -> Float[Array, "3"]:
+        """r, zero where the second frame is `placed` against the first [rad, to first order]."""
+        return _turn(first, second, placed)
+
+    def gap(self, first: Frame, second: Frame, placed: Float[Array, "4"]) -> Float[Array, "6"]:
+        """(t, r)."""
+        both = self.translation(first, second), self.rotation(first, second, placed)
+        return jnp.concatenate(both)
+
+
+def _turn(first: Frame, second: Frame, placed) -> Float[Array, "3"]:
+    """Twice the vector part of the rotation since the placing, in axes of the first frame."""
+    now = rotations.multiply(rotations.conjugate(first[1]), second[1])
+    turned = rotations.multiply(now, rotations.conjugate(placed))
+    # q and -q are one rotation
+    return 2 * jnp.where(turned[0] < 0, -1.0, 1.0) * turned[1:]
+
+
+def _check_points(first: Point, second: Point) -> None:
+    mend = "give a point such as Point(-1), the last node of the scene's first rod"
+    check_instance(Point, mend, first=first, second=second)
+
+
+class Weld(AbstractJoint):
+    """Both points and frames stay together: a rod's last node welded to its first makes a ring."""
+
+    first: Point
+    second: Point
+
+    def __check_init__(self):
+        _check_points(self.first, self.second)
+
+    @property
+    def rejoins(self):
+        return True
+
+    def projector(self):
+        return jnp.eye(6)
+
+
+class Ball(AbstractJoint):
+    """Both points stay together, and their frames turn freely."""
+
+    first: Point
+    second: Point
+
+    def __check_init__(self):
+        _check_points(self.first, self.second)
+
+    def projector(self):
+        return jnp.diag(jnp.asarray([1.0, 1.0, 1.0, 0.0, 0.0, 0.0]))
+
+    @property
+    def turning(self):
+        return False
+
+
+class Hinge(AbstractJoint):
+    """Both points stay together, and their frames turn against each other about an axis alone.
+
+    Attributes:
+        axis: in the first point's body frame, of any length.
+    """
+
+    first: Point
+    second: Point
+    axis: Float[Array, "3"] = eqx.field(converter=_unit)
+
+    def __check_init__(self):
+        _check_points(self.first, self.second)
+        _check_axis(self.axis)
+
+    def projector(self):
+        return jnp.eye(6).at[3:, 3:].add(-jnp.outer(self.axis, self.axis))
+
+    def rotation(self, first, second, placed):
+        """axis x (the second's axis), which is zero however far it has turned about it."""
+        axis = self.axis.astype(placed.dtype)
+        now = rotations.multiply(rotations.conjugate(first[1]), second[1])
+        turned = rotations.multiply(now, rotations.conjugate(placed))
+        return rotations.cross(axis, rotations.rotate(turned, axis))
+
+
+class Slide(AbstractJoint):
+    """The second point slides along an axis through the first, and does not turn.
+
+    Attributes:
+        axis: in the first point's body frame, of any length.
+    """
+
+    first: Point
+    second: Point
+    axis: Float[Array, "3"] = eqx.field(converter=_unit)
+
+    def __check_init__(self):
+        _check_points(self.first, self.second)
+        _check_axis(self.axis)
+
+    def projector(self):
+        return jnp.eye(6).at[:3, :3].add(-jnp.outer(self.axis, self.axis))
+
+    def translation(self, first, second):
+        return rotations.rotate_inverse(first[1], super().translation(first, second))

@@ -1,0 +1,230 @@
+"""What joints hold and exert, with derivatives, and their border of a Newton system.
+
+For a joint with the gap g = (t, r) of two nodes and multipliers p the balances of its nodes get
+G^T P p, with G the derivative of g by displacements and body spins of both, and the rows
+P g - (1 - P) p = 0 determine p. The second derivative of p . P g stands in the tangent: within one
+node in its own block, between the two in more rows and columns of the border,
+
+    [K_ab y]  with  y = x_b,        [K_ba z]  with  z = x_a,
+
+which a joint has none of that neither turns nor holds rotations.
+"""
+
+import functools
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from rodjax.equations.assembly import Scales
+from rodjax.equations.border import Border
+from rodjax.numerics import rotations
+from rodjax.rods.state import NodeMotion
+from rodjax.scenes.holds import Node, impose
+from rodjax.scenes.scene import Scene
+
+
+class JointTerms(NamedTuple):
+    """Of every joint, by its two nodes where there are two axes of them."""
+
+    gap: Float[Array, "j 6"]  # P g [m, rad]
+    slope: Float[Array, "j 6 2 6"]  # P G
+    lacking: Float[Array, "j 2 6"]  # G^T P p, of the balances [N, N m]
+    curvature: Float[Array, "j 2 6 2 6"]  # its derivative, multipliers held
+
+
+def nodes_of(scene: Scene) -> list[tuple[int, int]]:
+    """The two nodes of every joint."""
+    parts = scene.rod.parts
+    return [(joint.first.place(parts), joint.second.place(parts)) for joint in scene.joints]
+
+
+def projectors_of(scene: Scene) -> Float[Array, "j 6 6"]:
+    """The projectors of all joints."""
+    dtype = scene.rod.position.dtype
+    return jnp.stack([joint.projector().astype(dtype) for joint in scene.joints])
+
+
+def _functions(scene: Scene, position, quaternion):
+    """P g of every joint, as functions of displacements and body spins (2, 6) of its nodes."""
+    at_rest = scene.rod.quaternion
+    for joint, (a, b) in zip(scene.joints, nodes_of(scene), strict=True):
+        placed = rotations.multiply(rotations.conjugate(at_rest[a]), at_rest[b])
+        projector = joint.projector().astype(position.dtype)
+        where, frames = jnp.stack([position[a], position[b]]), quaternion[jnp.asarray([a, b])]
+
+        def held(z, *, joint=joint, placed=placed, projector=projector, at=(where, frames)):
+            turned = rotations.multiply(at[1], rotations.exponential(z[:, 3:]))
+            first, second = zip(at[0] + z[:, :3], turned, strict=True)
+            return projector @ joint.gap(first, second, placed)
+
+        yield held
+
+
+def gaps(scene: Scene, motion: NodeMotion) -> Float[Array, "j 6"]:
+    """P g [m, rad]."""
+    still = jnp.zeros((2, 6), motion.position.dtype)
+    functions = _functions(scene, motion.position, motion.quaternion)
+    return jnp.stack([held(still) for held in functions])
+
+
+def slopes(scene: Scene, motion: NodeMotion) -> Float[Array, "j 6 2 6"]:
+    """P G."""
+    still = jnp.zeros((2, 6), motion.position.dtype)
+    functions = _functions(scene, motion.position, motion.quaternion)
+    return jnp.stack([jax.jacfwd(held)(still) for held in functions])
+
+
+def exerted(
+    scene: Scene, motion: NodeMotion, multipliers: Float[Array, "j 6"]
+) -> Float[Array, "nodes 6"]:
+    """What joints exert on the nodes, force (inertial) [N] and moment (body) [N m]."""
+    lacking = jnp.einsum("jikl,ji->jkl", slopes(scene, motion), multipliers)
+    return -on_nodes(scene, lacking)
+
+
+def on_nodes(scene: Scene, values: Float[Array, "j 2 *k"]) -> Float[Array, "nodes *k"]:
+    """Sum at the nodes of values of joints' points."""
+    nodes = jnp.zeros((scene.rod.elements + 1, *values.shape[2:]), values.dtype)
+    return nodes.at[jnp.asarray(nodes_of(scene))].add(values)
+
+
+def at_points(scene: Scene, rows: Float[Array, "nodes *k"]) -> Float[Array, "j 2 *k"]:
+    """The rows of the nodes of joints."""
+    return rows[jnp.asarray(nodes_of(scene))]
+
+
+def terms(scene: Scene, motion: NodeMotion, multipliers: Float[Array, "j 6"]) -> JointTerms:
+    """All of it at a configuration with these multipliers [N, N m]."""
+    still = jnp.zeros((2, 6), motion.position.dtype)
+    functions = list(_functions(scene, motion.position, motion.quaternion))
+    lacking, curvature = [], []
+    for joint, nodes, p in zip(scene.joints, nodes_of(scene), multipliers, strict=True):
+        index = jnp.asarray(nodes)
+        where, frames = motion.position[index], motion.quaternion[index]
+
+        def pulled(z, *, where=where, frames=frames, joint=joint, p=p, nodes=nodes):
+            """G^T P p after these motions, by further ones."""
+            turned = rotations.multiply(frames, rotations.exponential(z[:, 3:]))
+            a, b = (scene.rod.quaternion[node] for node in nodes)
+            placed = rotations.multiply(rotations.conjugate(a), b)
+            projector = joint.projector().astype(p.dtype)
+
+            def work(further):
+                frame = rotations.multiply(turned, rotations.exponential(further[:, 3:]))
+                at = where + z[:, :3] + further[:, :3]
+                first, second = zip(at, frame, strict=True)
+                return p @ (projector @ joint.gap(first, second, placed))
+
+            return jax.grad(work)(still)
+
+        lacking.append(pulled(still))
+        curvature.append(jax.jacfwd(pulled)(still))
+    return JointTerms(
+        jnp.stack([held(still) for held in functions]),
+        jnp.stack([jax.jacfwd(held)(still) for held in functions]),
+        jnp.stack(lacking),
+        jnp.stack(curvature),
+    )
+
+
+def rates_of_gaps(
+    scene: Scene,
+    motion: NodeMotion,
+    rate: Float[Array, "nodes 6"],
+    acceleration: Float[Array, "nodes 6"],
+    order: int,
+) -> Float[Array, "j 6"]:
+    """The derivative in time of this order <= 3 of P g, in a motion of these accelerations."""
+    found = []
+    functions = _functions(scene, motion.position, motion.quaternion)
+    for held, nodes in zip(functions, nodes_of(scene), strict=True):
+        index = jnp.asarray(nodes)
+        v, a = rate[index], acceleration[index]
+        # of body spins w + a t the rotation vector has w x a / 12 to third order
+        bent = rotations.cross(v[:, 3:], a[:, 3:]) / 12
+
+        def along(t, *, held=held, v=v, a=a, bent=bent):
+            z = v * t + 0.5 * a * t**2
+            return held(z.at[:, 3:].add(bent * t**3))
+
+        of_order = functools.reduce(lambda f, _: _rate_of(f), range(order), along)
+        found.append(of_order(jnp.zeros((), rate.dtype)))
+    return jnp.stack(found)
+
+
+def _rate_of(function):
+    return lambda t: jax.jvp(function, (t,), (jnp.ones_like(t),))[1]
+
+
+def border_of(
+    scene: Scene,
+    slope: Float[Array, "j 6 2 6"],
+    curvature: Float[Array, "j 2 6 2 6"] | None,
+    projectors: Float[Array, "h 6 6"],
+    held: tuple[Node, ...],
+    scales: Scales,
+) -> Border:
+    """Rows and columns of the multipliers of all joints, then of what couples their nodes.
+
+    At the held nodes the balances are replaced by what is held, as in `assembly`.
+
+    Args:
+        slope, curvature: of `JointTerms`; None for rates, whose rows are linear in them.
+    """
+    count, dtype = scene.rod.elements + 1, slope.dtype
+    eye, motion = jnp.eye(6, dtype=dtype), scales.motion
+    slope = slope * motion / motion[:, None, None]
+    columns, rows, corners = [], [], []
+    nothing = jnp.zeros((6, count, 6), dtype)
+    both = nodes_of(scene)
+    for joint, nodes, own in zip(scene.joints, both, slope, strict=True):
+        at = nothing.at[:, jnp.asarray(nodes)].add(own)
+        columns.append(at)
+        rows.append(at)
+        corners.append(joint.projector().astype(dtype) - eye)
+    for i, (joint, (a, b)) in enumerate(zip(scene.joints, both, strict=True)):
+        if curvature is None or not joint.turning:
+            continue
+        # by scaled motions, of scaled wrenches
+        own = curvature[i] * motion / scales.wrench[:, None, None]
+        for one, other, block in ((a, b, own[0, :, 1]), (b, a, own[1, :, 0])):
+            columns.append(nothing.at[:, one].set(block.T))
+            rows.append(nothing.at[:, other].set(eye))
+            corners.append(-eye)
+    still = jnp.zeros((len(held), 6), dtype)
+    freed = jax.vmap(lambda column: impose(column, still, projectors, held))
+    columns, rows = freed(jnp.concatenate(columns)), jnp.concatenate(rows)
+    zero = jnp.zeros_like(rows[:, :, :3])
+    return Border(
+        jnp.concatenate([zero, columns], 2),
+        jnp.concatenate([rows[:, :, :3], zero, rows[:, :, 3:]], 2),
+        jax.scipy.linalg.block_diag(*corners),
+    )
+
+
+def own_tangent(scene: Scene, found: JointTerms) -> Float[Array, "nodes 6 6"]:
+    """What joints add to the tangents of their nodes."""
+    own = jnp.stack([found.curvature[:, 0, :, 0], found.curvature[:, 1, :, 1]], 1)
+    return on_nodes(scene, own)
+
+
+def rows_of(
+    scene: Scene, gap: Float[Array, "j 6"], multipliers: Float[Array, "j 6"], scales: Scales
+) -> Float[Array, "j 9"]:
+    """Scaled rows of joints, P g - (1 - P) p, as `Jointed` has them."""
+    loose = multipliers / scales.wrench - jnp.einsum(
+        "jik,jk->ji", projectors_of(scene), multipliers / scales.wrench
+    )
+    return spread(gap / scales.motion - loose)
+
+
+def spread(values: Float[Array, "j 6"]) -> Float[Array, "j 9"]:
+    """Six numbers a joint as rows of a system, which have three between them that say nothing."""
+    return jnp.concatenate([values[:, :3], jnp.zeros_like(values[:, :3]), values[:, 3:]], 1)
+
+
+def gathered(rows: Float[Array, "j 9"]) -> Float[Array, "j 6"]:
+    """The reverse."""
+    return jnp.concatenate([rows[:, :3], rows[:, 6:]], 1)
