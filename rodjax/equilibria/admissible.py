@@ -19,8 +19,10 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Complex, Float
 
+from rodjax.equations import joint_terms
 from rodjax.equations.imbalance import static_imbalance
 from rodjax.interactions.load import total_wrench
 from rodjax.numerics.eigenvalues import far_above
@@ -79,54 +81,69 @@ def total_mass(rod: Rod) -> Float[Array, ""]:
 def allowed(
     rod: Rod, position: Float[Array, "nodes 3"], quaternion: Float[Array, "nodes 4"]
 ) -> Float[Array, "m nodes 6"]:
-    """The motions that the constraint allows: displacement over L and body spin of the nodes."""
+    """The motions that the constraint allows: displacement over L and body spin of the nodes.
+
+    Of several rods each has a displacement of its own.
+    """
     n, dtype = rod.elements, position.dtype
     kinematics = strains(rod, position, quaternion)
     shear = balance.constraint_tangent(rod, kinematics).constraint_spin  # gamma x d theta_e
     length = jnp.sum(rod.length)
     give = None if rod.compliance is None else (rod.compliance > 0).astype(dtype)
 
+    rods = len(rod.parts)
+    # of every node, its rod and the first node of that
+    numbers = np.repeat(np.arange(rods), [part.last - part.first + 1 for part in rod.parts])
+    begins = np.array([part.first for part in rod.parts])[numbers]
+
     def expand(y):
-        """Motion of the nodes for the parameters y = (u_0 / L, spins, g)."""
+        """Motion of the nodes for the parameters y = (u_0 / L, of each rod, spins, g)."""
+        begin, y = y[: 3 * rods].reshape(rods, 3), y[3 * rods - 3 :]
         spins = y[3 : 3 * n + 6].reshape(n + 1, 3)
         stretch = -jnp.einsum("nij,nj->ni", shear, jnp.concatenate([spins[:-1], spins[1:]], 1))
         if give is not None:
             stretch = stretch + give * y[3 * n + 6 :].reshape(n, 3)
         edge = (rod.length / length)[:, None]
         edge = edge * jnp.einsum("nij,nj->ni", kinematics.frame, stretch)
-        first = y[None, :3]
-        return jnp.concatenate(
-            [first + jnp.cumsum(jnp.concatenate([0 * first, edge]), 0), spins], 1
-        )
+        moved = jnp.cumsum(jnp.concatenate([0 * begin[:1], edge]), 0)
+        if rod.breaks:  # each counts from its own first node
+            moved = moved - moved[begins] + begin[numbers]
+        else:
+            moved = begin + moved
+        return jnp.concatenate([moved, spins], 1)
 
-    parameters = 3 + 3 * (n + 1) + (0 if give is None else 3 * n)
+    parameters = 3 * rods + 3 * (n + 1) + (0 if give is None else 3 * n)
     return jax.vmap(expand)(jnp.eye(parameters, dtype=dtype))
 
 
 def constrained(
     scene: Scene,
-    both: Float[Array, "h 6 6"],
+    state: State,
     basis: Float[Array, "m nodes 6"],
     stiffness: Float[Array, "m m"],
 ) -> Admissible:
-    """Allowed motions with the tangent of the balances on them, the compliance's springs added.
-
-    `both` are the projectors of ends and supports.
-    """
+    """Allowed motions with the tangent of the balances on them, the compliance's springs added."""
+    both = projectors(scene, state.time)
     rod, compliance = scene.rod, scene.rod.compliance
     length = jnp.sum(rod.length)
     norm = jnp.repeat(rod.node_length / length, 3)
-    norm = jnp.concatenate([jnp.zeros((3,), norm.dtype), norm])
+    norm = jnp.concatenate([jnp.zeros((3 * len(rod.parts),), norm.dtype), norm])
     if compliance is not None:
         # components without compliance stay put: a spring far stiffer than all else holds them
         ds = jnp.repeat(rod.length / length, 3)
-        stiff = far_above(stiffness) * ds
+        stiff = far_above(stiffness) * jnp.repeat(rod.gauge_length / length, 3)
         force = mean_bending(scene) / length**2
         spring = ds / jnp.where(compliance > 0, compliance * force, 1.0).ravel()
-        spring = jnp.where((compliance > 0).ravel(), spring, stiff)
+        soft = rod.at_breaks(compliance > 0, False)
+        spring = jnp.where(soft.ravel(), spring, stiff)
         stiffness = stiffness + jnp.diag(jnp.concatenate([jnp.zeros_like(norm), spring]))
         norm = jnp.concatenate([norm, ds])
     held = [p @ basis[:, i].T for p, i in zip(both, scene.held_nodes, strict=True)]
+    if scene.joints:
+        slopes = joint_terms.slopes(scene, at_rest(state.time, state.position, state.quaternion))
+        moved = jax.vmap(lambda one: joint_terms.at_points(scene, one))(basis * _units(scene))
+        rows = jnp.einsum("jikl,mjkl->jim", slopes, moved) / _units(scene)[None, :, None]
+        held.append(rows.reshape(-1, len(basis)))
     return Admissible(basis, stiffness, norm, jnp.concatenate(held))
 
 
@@ -139,11 +156,15 @@ def admissible(scene: Scene, state: State) -> Admissible:
 
     def work(z):
         """The imbalance, as work over A/L on a displacement of L or a spin of 1."""
-        return static_imbalance(scene, moved(motion, units * z), state.force)[0] * (units / energy)
+        after = moved(motion, units * z)
+        wrench = static_imbalance(scene, after, state.force)[0]
+        if state.joints is not None:
+            wrench = wrench - joint_terms.exerted(scene, after, state.joints)
+        return wrench * (units / energy)
 
     push = lambda z: jax.jvp(work, (jnp.zeros_like(z),), (z,))[1]
     stiffness = basis.reshape(len(basis), -1) @ jax.vmap(push)(basis).reshape(len(basis), -1).T
-    return constrained(scene, projectors(scene, state.time), basis, stiffness)
+    return constrained(scene, state, basis, stiffness)
 
 
 def mass_matrix(scene: Scene, state: State, motions: Admissible) -> Float[Array, "m m"]:
