@@ -195,7 +195,9 @@ def border_of(
             corners.append(-eye)
     still = jnp.zeros((len(held), 6), dtype)
     freed = jax.vmap(lambda column: impose(column, still, projectors, held))
-    columns, rows = freed(jnp.concatenate(columns)), jnp.concatenate(rows)
+    columns, rows = jnp.concatenate(columns), jnp.concatenate(rows)
+    if held:
+        columns = freed(columns)
     zero = jnp.zeros_like(rows[:, :, :3])
     return Border(
         jnp.concatenate([zero, columns], 2),

@@ -1,4 +1,4 @@
-"""Whether a rod at rest is held: what its ends leave free to move as a rigid body.
+"""Whether rods at rest are held: what their ends and joints leave free to move as rigid bodies.
 
 Where neither end holds the spin of the rod about itself (a cable between pins, or hung from one),
 every cross-section may turn about the tangent together with all others: in a naturally straight
@@ -12,6 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from rodjax.equations import joint_terms
 from rodjax.inputs.validation import all_known
 from rodjax.interactions.load import total_wrench
 from rodjax.numerics import rotations
@@ -47,8 +48,9 @@ def check_held(
                 f"{scene.holding}: a rod held at neither end has no unique equilibrium; hold one"
                 " (ends.Clamped, or ends.Pinned and ends.Slider together)"
             )
-        spin = spin_free and not np.any(both[:, 5, 5] > 0)
+        spin = spin_free and not np.any(both[:, 5, 5] > 0) and not scene.rod.breaks
         needed = (state.position, state.quaternion, scene.rod.length, *scene.held_nodes)
+        needed = (*needed, scene.joints)
         if not all_known(needed):
             # where neither end holds the tangent, loads must
             return Hold(loads=not np.any(both[:, (3, 4), (3, 4)] > 0), spin=spin)
@@ -72,20 +74,36 @@ def check_held(
 
 
 def _free_motions(scene: Scene, state: State, both, nodes, spin: bool):
-    """Rigid motions that are left free: translation over the length, rotation about node 0."""
+    """Rigid motions that are left free, six numbers of each rod one after the other: translation
+    over the length, rotation about its first node.
+    """
     # by numpy: under a transformation even a known value becomes traced by a `custom_jvp`
     length = float(np.sum(np.asarray(scene.rod.length)))
     position, quaternion = np.asarray(state.position), np.asarray(state.quaternion)
-    rows = []
-    for index, projector in zip(nodes, both, strict=True):
-        arm = (position[index] - position[0]) / length
+    parts = scene.rod.parts
+
+    def motion_of(index):
+        """Displacement over the length and body spin of a node, by these numbers."""
+        rod = next(i for i, part in enumerate(parts) if part.first <= index <= part.last)
+        arm = (position[index] - position[parts[rod].first]) / length
         w, v = quaternion[index, 0], quaternion[index, 1:]
         frame = np.eye(3) + 2 * (w * _skew(v) + _skew(v) @ _skew(v))
-        translation = np.concatenate([np.eye(3), -_skew(arm)], 1)
-        rotation = np.concatenate([np.zeros((3, 3)), frame.T], 1)
-        rows.append(projector @ np.concatenate([translation, rotation]))
+        own = np.block([[np.eye(3), -_skew(arm)], [np.zeros((3, 3)), frame.T]])
+        found = np.zeros((6, 6 * len(parts)))
+        found[:, 6 * rod : 6 * rod + 6] = own
+        return found
+
+    rows = []
+    for index, projector in zip(nodes, both, strict=True):
+        rows.append(projector @ motion_of(index))
         if spin and index == 0:
-            rows.append(rotation[2:])
+            rows.append(motion_of(index)[5:])
+    if scene.joints:
+        motion = at_rest(state.time, state.position, state.quaternion)
+        unit = np.repeat([length, 1.0], 3)
+        slopes = np.asarray(joint_terms.slopes(scene, motion)) * unit / unit[:, None, None]
+        for slope, (a, b) in zip(slopes, joint_terms.nodes_of(scene), strict=True):
+            rows.append(slope[:, 0] @ motion_of(a) + slope[:, 1] @ motion_of(b))
     _, size, motions = np.linalg.svd(np.concatenate(rows))
     negligible = max(1e-6, 30 * float(jnp.finfo(state.position.dtype).eps))
     return motions[int(np.sum(size > negligible)) :]
@@ -108,26 +126,33 @@ def _held_by_loads(scene: Scene, state: State, free, time) -> int:
     own = lambda array: jnp.asarray(array, state.position.dtype)
     time = own(time)
 
+    parts = scene.rod.parts
+    counts = [part.last - part.first + 1 for part in parts]
+    rod = np.repeat(np.arange(len(parts)), counts)
+    pivot = place[[part.first for part in parts]][rod]
+
     def moved(position, quaternion, motion):
-        turn = rotations.exponential(own(motion[3:]))
-        turn = jnp.broadcast_to(turn, quaternion.shape)
-        arm = own(position - place[0])
-        position = place[0] + length * motion[:3] + np.asarray(rotations.rotate(turn, arm))
+        motion = motion.reshape(-1, 6)[rod]
+        turn = rotations.exponential(own(motion[:, 3:]))
+        arm = own(position - pivot)
+        position = pivot + length * motion[:, :3] + np.asarray(rotations.rotate(turn, arm))
         return position, rotations.multiply(turn, quaternion)
 
     def work(position, quaternion):
         motion = at_rest(time, own(position), quaternion)
         wrench = np.asarray(total_wrench(scene.loads, scene.rod, motion))
         spatial = np.asarray(rotations.rotate(quaternion, own(wrench[:, 3:])))
-        moment = np.cross(position - place[0], wrench[:, :3]) + spatial
-        generalised = np.concatenate([length * wrench[:, :3].sum(0), moment.sum(0)])
+        moment = np.cross(position - pivot, wrench[:, :3]) + spatial
+        rows = np.concatenate([length * wrench[:, :3], moment], 1)
+        generalised = np.add.reduceat(rows, [part.first for part in parts]).ravel()
         return free @ generalised, length * np.abs(wrench[:, :3]).sum() + np.abs(spatial).sum()
 
     # so far that rounding is little of what changes, in single precision too: what no load holds
     # changes nowhere
     rows, largest, step = [], 0.0, 0.1
     for swing in (np.zeros(3), np.array([0.5, 0.3, 0.2]), np.array([-0.4, 0.6, 1.1])):
-        base = moved(place, state.quaternion, np.concatenate([np.zeros(3), swing]))
+        swung = np.tile(np.concatenate([np.zeros(3), swing]), len(parts))
+        base = moved(place, state.quaternion, swung)
         for motion in free:
             ahead, size = work(*moved(*base, step * motion))
             behind, _ = work(*moved(*base, -step * motion))

@@ -20,13 +20,15 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
-from rodjax.equations.anchored import Anchor, bordered
+from rodjax.equations import joint_terms
+from rodjax.equations.anchored import bordered
 from rodjax.equations.assembly import AS_COLUMNS, Scales, assemble
 from rodjax.equations.coupled import CoupledSystem
 from rodjax.equations.coupling import couple
 from rodjax.equations.equations import Equations, anchors_of
 from rodjax.equations.imbalance import node_tangent
 from rodjax.equations.schemes import AtRest
+from rodjax.equilibria.jointed_modes import negative_besides, with_joints
 from rodjax.numerics import rotations
 from rodjax.numerics.batching import one_by_one
 from rodjax.numerics.block_tridiagonal import BlockTridiagonal
@@ -79,7 +81,7 @@ def _count(equations: Equations[AtRest], x, added: Float[Array, "nodes 6"]) -> I
     symmetric = _symmetric(blocks)
     blocks = jax.tree.map(lambda a, b: jnp.where(even, a, b), symmetric, blocks)
     scene = equations.scene
-    counted = functools.partial(_counted, anchors=anchors_of(scene))
+    counted = functools.partial(_counted, equations=equations, x=x)
     held = equations.projectors, scene.held_nodes
     if scene.contact is None:
         return counted(CoupledSystem(blocks), *held, even)
@@ -106,6 +108,9 @@ def _tangent(equations: Equations[AtRest], x) -> BlockTridiagonal:
     elements = balance.element_tangent(scene.rod, motion, force)
     scheme = equations.scheme
     node = node_tangent(scene, motion, load_factor=scheme.load_part())
+    joints = _joint_terms(equations, x)
+    if joints is not None:
+        node = node + joint_terms.own_tangent(scene, joints)
     # by spins of the body a moment m that is not balanced leaves hat(m)/2 in the tangent; neither
     # what the path's start lacks nor a resistance is one of the rod's loads, while what holds an
     # end is
@@ -123,6 +128,13 @@ def _tangent(equations: Equations[AtRest], x) -> BlockTridiagonal:
     edges = jnp.concatenate([length[None], scene.rod.gauge_length]) / length
     factor = jnp.ones((len(edges), 9, 1), node.dtype).at[:, :3, 0].set(edges[:, None])
     return jax.tree.map(lambda rows: factor * rows, blocks)
+
+
+def _joint_terms(equations: Equations[AtRest], x) -> joint_terms.JointTerms | None:
+    multipliers = equations.joints(x)
+    if multipliers is None:
+        return None
+    return joint_terms.terms(equations.scene, equations.motion(x), multipliers)
 
 
 def _stiffened(blocks: BlockTridiagonal, scales: Scales, added) -> BlockTridiagonal:
@@ -163,20 +175,27 @@ def _counted(
     nodes: tuple[Node, ...],
     even: Bool[Array, ""],
     *,
-    anchors: tuple[Anchor, ...],
+    equations: Equations[AtRest],
+    x: Float[Array, "rows 9"],
 ) -> Int[Array, ""]:
     """The number by elimination, from the tangent of the rod that nothing holds.
 
     Args:
         even: whether the tangent is symmetric.
-        anchors: the first nodes of rods.
+        equations, x: what it is the tangent of.
     """
     elements, dtype = len(free.blocks.diagonal) - 1, projectors.dtype
     # what is held twice does not give way, but for the rounding of how far the cantilever does
     slack = jnp.full((6,), _SLACK, dtype).at[:3].max(2 * float(jnp.finfo(dtype).eps) * elements**3)
-    eliminated = bordered(free, projectors, nodes, anchors, slack=slack).eliminate()
+    scene, anchors = equations.scene, anchors_of(equations.scene)
+    system = bordered(free, projectors, nodes, anchors, slack=slack)
+    joints = _joint_terms(equations, x)
+    if joints is not None:
+        held = anchors, projectors, nodes
+        system = with_joints(system, scene, joints, equations.scales, *held)
+    eliminated = system.eliminate()
     # of forces and wrenches
-    expected = 3 * elements + 6 * (len(nodes) - len(anchors))
+    expected = 3 * elements + 6 * (len(nodes) - len(anchors)) + negative_besides(scene)
     # rows stand as assembled, not as columns: in each of the n + 1 blocks an odd permutation
     sign = (-1.0) ** (expected + elements + 1)
     count = lambda: eliminated.negative() - expected
