@@ -100,6 +100,72 @@ class AnchoredSystem(eqx.Module):
         return jnp.einsum("oij,oj->oi", inside[self._others], rows)
 
 
+class AnchoredBordered(eqx.Module):
+    """The system of rods whose nodes are held, with a border of further multipliers.
+
+    Both borders are solved together: what the rods' ends leave free the further one may hold.
+    """
+
+    system: AnchoredSystem
+    border: Border
+
+    def solve(self, b: Vector) -> Vector:
+        """Solution of the system."""
+        system = self.system
+        given = system._rows(b.nodes)
+        inside = system._inside(given)
+        right = jnp.concatenate([jnp.ravel(given - inside), b.border])
+        found = self._whole().solve(Vector(system._replaced(b.nodes, inside), right))
+        return Vector(found.nodes, found.border[-len(b.border) :])
+
+    def solve_transpose(self, b: Vector) -> Vector:
+        """Solution of the transposed system."""
+        system, whole = self.system, self._whole()
+        before = whole.border.corner.shape[0] - len(b.border)
+        right = jnp.concatenate([jnp.zeros((before,), b.nodes.dtype), b.border])
+        x, z = whole.solve_transpose(Vector(b.nodes, right))
+        outside = z[:before].reshape(-1, 6)
+        rows = system._inside(system._rows(x) - outside) + outside
+        return Vector(system._replaced(x, rows), z[before:])
+
+    def _whole(self) -> BorderedSystem:
+        system = self.system
+        held = system.projectors, system.nodes, system.anchors
+        return extended(system._bordered(), self.border, *held)
+
+
+def extended(
+    bordered: BorderedSystem,
+    more: Border,
+    projectors: Float[Array, "h 6 6"],
+    nodes: tuple[Node, ...],
+    anchors: tuple[Anchor, ...],
+) -> BorderedSystem:
+    """The system with more in its border, behind what that had.
+
+    Args:
+        more: of the rods before their first nodes are taken out.
+        projectors, nodes, anchors: as `bordered` was made of.
+    """
+    eye = jnp.eye(6, dtype=projectors.dtype)
+    before, columns = bordered.border, more.columns
+    corner = jnp.zeros((before.corner.shape[0], len(columns)), eye.dtype)
+    row = 0
+    for anchor in anchors:  # whose balances are rows of the border, if it moves at all
+        node = int(nodes[anchor.held])
+        if not anchor.clamped:
+            moving = eye - projectors[anchor.held]
+            corner = corner.at[row : row + 6].set(moving @ columns[:, node, 3:].T)
+            row += 6
+        columns = columns.at[:, node, 3:].set(0.0)
+    whole = Border(
+        jnp.concatenate([before.columns, columns]),
+        jnp.concatenate([before.rows, more.rows]),
+        jnp.block([[before.corner, corner], [jnp.zeros_like(corner.T), more.corner]]),
+    )
+    return BorderedSystem(bordered.system, whole)
+
+
 def _in_border(nodes: tuple[Node, ...], anchors: tuple[Anchor, ...]) -> list[int]:
     """Which of the nodes stand in the border: the anchors that move, then the others."""
     first = [anchor.held for anchor in anchors]

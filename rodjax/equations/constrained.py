@@ -12,6 +12,7 @@ from jaxtyping import Array, Float
 from rodjax.constraints import ends
 from rodjax.equations import joint_terms
 from rodjax.equations.assembly import Scales, assemble, residual_rows
+from rodjax.equations.border import BorderedSystem
 from rodjax.equations.coupled import CoupledSystem
 from rodjax.equations.jointed import JointedSystem
 from rodjax.interactions.load import total_wrench
@@ -56,10 +57,12 @@ class Constrained(eqx.Module):
             joints = joint_terms.slopes(scene, motion)
             at = both, scene.held_nodes, scales
             border = joint_terms.border_of(scene, joints, None, *at)
-            system = JointedSystem(system, lax.stop_gradient(border), len(scene.joints))
+            system = JointedSystem(
+                BorderedSystem(system, lax.stop_gradient(border)), len(scene.joints)
+            )
         return cls(scene, state, kinematics, rigid, both, scales, matrix, system, joints)
 
-    def multiply(self, x: Float[Array, "nodes 9"]) -> Float[Array, "nodes 9"]:
+    def multiply(self, x: Float[Array, "rows 9"]) -> Float[Array, "rows 9"]:
         """The matrix times scaled rates and multipliers, without the matrix.
 
         The solution is differentiated through this, which costs less than through the blocks.
@@ -71,7 +74,7 @@ class Constrained(eqx.Module):
             self.scene.rod, self.kinematics, scales.internal_force(x)
         )
         if self.joints is not None:
-            forces = joint_terms.gathered(rows[len(x) :]) * scales.wrench
+            forces = joint_terms.gathered(rows[len(x) :]) * scales.wrench[None]
             lacking = jnp.einsum("jikl,ji->jkl", self.joints, forces)
             wrench = wrench + joint_terms.on_nodes(self.scene, lacking)
         nodes = self.scene.held_nodes
@@ -89,11 +92,11 @@ class Constrained(eqx.Module):
     def _of_nodes(self, x):
         return x[: self.scene.rod.elements + 1] if self.scene.joints else x
 
-    def solve(self, b: Float[Array, "nodes 9"]) -> Float[Array, "nodes 9"]:
+    def solve(self, b: Float[Array, "rows 9"]) -> Float[Array, "rows 9"]:
         """Solution of the scaled system."""
         return _refined(self.system, b)
 
-    def solve_transpose(self, b: Float[Array, "nodes 9"]) -> Float[Array, "nodes 9"]:
+    def solve_transpose(self, b: Float[Array, "rows 9"]) -> Float[Array, "rows 9"]:
         """Solution of the transposed one."""
         return _refined(self.system.transpose(), b)
 
@@ -108,12 +111,12 @@ class Constrained(eqx.Module):
         pad = jnp.zeros_like(constraint[:1])
         b = jnp.concatenate([jnp.concatenate([pad, constraint]), right], 1)
         if joints is not None:
-            b = jnp.concatenate([b, joint_terms.spread(joints / scales.motion)])
+            b = jnp.concatenate([b, joint_terms.spread(joints / scales.motion[None])])
         x = newton.solve_linear(_LinearEquations(self, b))
         nodes = self._of_nodes(x)
         forces = None
         if joints is not None:
-            forces = joint_terms.gathered(x[len(nodes) :]) * scales.wrench
+            forces = joint_terms.gathered(x[len(nodes) :]) * scales.wrench[None]
         return scales.change(nodes), scales.internal_force(nodes), forces
 
     def joint_derivatives(self, rate, acceleration, order):
@@ -172,7 +175,7 @@ class _LinearEquations(eqx.Module):
     """Matrix times x equals `right`, as `newton.solve_linear` takes them."""
 
     matrix: Constrained
-    right: Float[Array, "nodes 9"]
+    right: Float[Array, "rows 9"]
 
     def residual(self, x):
         return self.matrix.multiply(x) - self.right
@@ -185,8 +188,8 @@ class _LinearEquations(eqx.Module):
 
 
 def _refined(
-    system: CoupledSystem | JointedSystem, b: Float[Array, "nodes 9"]
-) -> Float[Array, "nodes 9"]:
+    system: CoupledSystem | JointedSystem, b: Float[Array, "rows 9"]
+) -> Float[Array, "rows 9"]:
     """Solution with one step of iterative refinement."""
     eliminated = system.eliminate()
     refine = lambda _, x: x + eliminated.solve(b - system.multiply(x))

@@ -10,8 +10,9 @@ from jaxtyping import Array, Float
 
 from rodjax.constraints import ends
 from rodjax.equations import joint_terms
-from rodjax.equations.anchored import Anchor, AnchoredSystem
+from rodjax.equations.anchored import Anchor, AnchoredBordered, AnchoredSystem
 from rodjax.equations.assembly import Scales, assemble, residual_rows
+from rodjax.equations.border import BorderedSystem
 from rodjax.equations.coupled import CoupledSystem
 from rodjax.equations.coupling import Coupling, couple
 from rodjax.equations.generalized_alpha import coefficients
@@ -100,7 +101,7 @@ class Equations(eqx.Module, Generic[Scheme]):
             return nodes
         if joints is None:
             joints = jnp.zeros((len(self.scene.joints), 6), nodes.dtype)
-        return jnp.concatenate([nodes, joint_terms.spread(joints / self.scales.wrench)])
+        return jnp.concatenate([nodes, joint_terms.spread(joints / self.scales.wrench[None])])
 
     def of_nodes(self, x) -> Float[Array, "nodes 9"]:
         """The rows of the nodes."""
@@ -111,7 +112,7 @@ class Equations(eqx.Module, Generic[Scheme]):
         if not self.scene.joints:
             return None
         rows = x[self.scene.rod.elements + 1 :]
-        return joint_terms.gathered(rows) * self.scales.wrench
+        return joint_terms.gathered(rows) * self.scales.wrench[None]
 
     def change(self, x) -> Float[Array, "nodes 6"]:
         """What x adds to the scheme's prediction, displacement [m] and rotation vector [rad]."""
@@ -207,24 +208,29 @@ class Equations(eqx.Module, Generic[Scheme]):
         tangent = balance.element_tangent(scene.rod, motion, self.force(x), moving)
         node = node_tangent(scene, motion, moving=moving, load_factor=scheme.load_part())
         node = scheme.stiffened(placed.change, node)
-        joints, jointed = self.joints(x), lambda system: system
+        joints, border = self.joints(x), None
         if joints is not None:
             found = joint_terms.terms(scene, motion, joints)
             node = node + joint_terms.own_tangent(scene, found)
             at = self.projectors, scene.held_nodes, self.scales
             border = joint_terms.border_of(scene, found.slope, found.curvature, *at)
-            jointed = lambda system: JointedSystem(system, border, len(scene.joints))
         anchors = anchors_of(scene)
         if slopes is not None or _at_ends(scene, anchors):
             held = self.projectors, scene.held_nodes
             blocks = assemble(scene.rod, tangent, node, *held, self.scales)
-            return jointed(CoupledSystem(blocks, coupling))
+            coupled = CoupledSystem(blocks, coupling)
+            if border is None:
+                return coupled
+            return JointedSystem(BorderedSystem(coupled, border), len(scene.joints))
         # what lies before a node is not held without inertia, or held twice: see `anchored`
         nowhere = jnp.zeros((0, 6, 6), x.dtype), ()
         free = assemble(scene.rod, tangent, node, *nowhere, self.scales)
         coupling = None if coupling is None else coupling.held(*nowhere)
         held = self.projectors, scene.held_nodes
-        return jointed(AnchoredSystem(CoupledSystem(free, coupling), *held, anchors))
+        anchored = AnchoredSystem(CoupledSystem(free, coupling), *held, anchors)
+        if border is None:
+            return anchored
+        return JointedSystem(AnchoredBordered(anchored, border), len(scene.joints))
 
     def iterate(self, x, tolerance, max_iterations):
         """Newton's iteration, with a held derivative where pairs are near.

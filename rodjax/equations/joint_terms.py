@@ -175,7 +175,7 @@ def border_of(
     """
     count, dtype = scene.rod.elements + 1, slope.dtype
     eye, motion = jnp.eye(6, dtype=dtype), scales.motion
-    slope = slope * motion / motion[:, None, None]
+    slope = slope * motion[None, None, None] / motion[None, :, None, None]
     columns, rows, corners = [], [], []
     nothing = jnp.zeros((6, count, 6), dtype)
     both = nodes_of(scene)
@@ -188,7 +188,7 @@ def border_of(
         if curvature is None or not joint.turning:
             continue
         # by scaled motions, of scaled wrenches
-        own = curvature[i] * motion / scales.wrench[:, None, None]
+        own = curvature[i] * motion[None, None, None] / scales.wrench[None, :, None, None]
         for one, other, block in ((a, b, own[0, :, 1]), (b, a, own[1, :, 0])):
             columns.append(nothing.at[:, one].set(block.T))
             rows.append(nothing.at[:, other].set(eye))
@@ -216,10 +216,9 @@ def rows_of(
     scene: Scene, gap: Float[Array, "j 6"], multipliers: Float[Array, "j 6"], scales: Scales
 ) -> Float[Array, "j 9"]:
     """Scaled rows of joints, P g - (1 - P) p, as `Jointed` has them."""
-    loose = multipliers / scales.wrench - jnp.einsum(
-        "jik,jk->ji", projectors_of(scene), multipliers / scales.wrench
-    )
-    return spread(gap / scales.motion - loose)
+    scaled = multipliers / scales.wrench[None]
+    loose = scaled - jnp.einsum("jik,jk->ji", projectors_of(scene), scaled)
+    return spread(gap / scales.motion[None] - loose)
 
 
 def spread(values: Float[Array, "j 6"]) -> Float[Array, "j 9"]:

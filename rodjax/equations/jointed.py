@@ -4,13 +4,14 @@ Their unknowns and rows (n+1+j, 9) are those of the nodes, then a row for each j
 F, three numbers that are zero, and a moment over F l.
 """
 
+from typing import Any
+
 import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from rodjax.equations.anchored import AnchoredSystem
-from rodjax.equations.border import Border, EliminatedBorder, Vector, solved
-from rodjax.equations.coupled import CoupledSystem
+from rodjax.equations.anchored import AnchoredBordered
+from rodjax.equations.border import BorderedSystem, EliminatedBorder, Vector
 from rodjax.equations.joint_terms import gathered, spread
 
 Rows = Float[Array, "rows 9"]
@@ -19,15 +20,14 @@ Rows = Float[Array, "rows 9"]
 class JointedSystem(eqx.Module):
     """The system of the nodes with the border of the joints."""
 
-    system: CoupledSystem | AnchoredSystem
-    border: Border
+    bordered: BorderedSystem | AnchoredBordered
     joints: int = eqx.field(static=True)
 
     def _split(self, b: Rows) -> Vector:
         nodes = b.shape[0] - self.joints
         given = jnp.ravel(gathered(b[nodes:]))
         # what couples the nodes has nothing on the right side
-        more = jnp.zeros((self.border.corner.shape[0] - given.shape[0],), b.dtype)
+        more = jnp.zeros((self.bordered.border.corner.shape[0] - given.shape[0],), b.dtype)
         return Vector(b[:nodes], jnp.concatenate([given, more]))
 
     def _joined(self, x: Vector, b: Rows) -> Rows:
@@ -37,17 +37,17 @@ class JointedSystem(eqx.Module):
 
     def multiply(self, b: Rows) -> Rows:
         """Matrix times vector."""
-        given, border, k = self._split(b), self.border, 6 * self.joints
+        given, border, k = self._split(b), self.bordered.border, 6 * self.joints
         # the further unknowns are what their rows read
         read = border.read(given.nodes)
         unknown = jnp.concatenate([given.border[:k], read[k:]])
-        nodes = self.system.multiply(given.nodes) + border.spread(unknown)
+        nodes = self.bordered.system.multiply(given.nodes) + border.spread(unknown)
         rows = read + border.corner @ jnp.concatenate([given.border[:k], jnp.zeros_like(read[k:])])
         return self._joined(Vector(nodes, rows), b)
 
     def solve(self, b: Rows) -> Rows:
         """Solution of the system."""
-        return self._joined(solved(self.system.solve, self.border, self._split(b)), b)
+        return self._joined(self.bordered.solve(self._split(b)), b)
 
     def solve_once(self, b: Rows) -> Rows:
         """As `solve`."""
@@ -55,18 +55,17 @@ class JointedSystem(eqx.Module):
 
     def solve_transpose(self, b: Rows) -> Rows:
         """Solution of the transposed system."""
-        transposed = self.border.transpose()
-        return self._joined(solved(self.system.solve_transpose, transposed, self._split(b)), b)
+        return self._joined(self.bordered.solve_transpose(self._split(b)), b)
 
     def transpose(self) -> "JointedSystem":
         """The transposed system, of nodes that are not anchored."""
-        assert isinstance(self.system, CoupledSystem)
-        return JointedSystem(self.system.transpose(), self.border.transpose(), self.joints)
+        of_nodes: Any = self.bordered
+        return JointedSystem(of_nodes.transpose(), self.joints)
 
     def eliminate(self) -> "EliminatedJoints":
         """The system, of nodes that are not anchored, ready for several right sides."""
-        eliminated = EliminatedBorder.of(self.system, self.border)
-        return EliminatedJoints(self, eliminated)
+        of_nodes: Any = self.bordered
+        return EliminatedJoints(self, of_nodes.eliminate())
 
 
 class EliminatedJoints(eqx.Module):

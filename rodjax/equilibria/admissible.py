@@ -141,7 +141,9 @@ def constrained(
     held = [p @ basis[:, i].T for p, i in zip(both, scene.held_nodes, strict=True)]
     if scene.joints:
         slopes = joint_terms.slopes(scene, at_rest(state.time, state.position, state.quaternion))
-        moved = jax.vmap(lambda one: joint_terms.at_points(scene, one))(basis * _units(scene))
+        moved = jax.vmap(lambda one: joint_terms.at_points(scene, one))(
+            basis * _units(scene)[None, None]
+        )
         rows = jnp.einsum("jikl,mjkl->jim", slopes, moved) / _units(scene)[None, :, None]
         held.append(rows.reshape(-1, len(basis)))
     return Admissible(basis, stiffness, norm, jnp.concatenate(held))

@@ -16,7 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from rodjax.equations.anchored import Anchor
+from rodjax.equations.anchored import Anchor, extended
 from rodjax.equations.assembly import Scales
 from rodjax.equations.border import Border, BorderedSystem
 from rodjax.equations.joint_terms import JointTerms, border_of, nodes_of
@@ -38,34 +38,14 @@ def with_joints(
     Args:
         anchors, projectors, nodes: as `bordered` was made of.
     """
-    eye = jnp.eye(6, dtype=projectors.dtype)
-    nowhere = jnp.zeros((0, 6, 6), eye.dtype), ()
+    nowhere = jnp.zeros((0, 6, 6), projectors.dtype), ()
     borders = [border_of(scene, found.slope, None, *nowhere, scales)]
     for joint, places, curvature in zip(
         scene.joints, nodes_of(scene), found.curvature, strict=True
     ):
         if joint.turning:
             borders.append(_coupling(scene, places, curvature, scales))
-    own = Border.joined(*borders)
-    columns, corner = own.columns, jnp.zeros((bordered.border.corner.shape[0], len(own.columns)))
-    corner = corner.astype(eye.dtype)
-    # the balances of a first node are rows of the border, if it moves at all
-    row = 0
-    for anchor in anchors:
-        node = int(nodes[anchor.held])
-        if not anchor.clamped:
-            moving = eye - projectors[anchor.held]
-            corner = corner.at[row : row + 6].set(moving @ columns[:, node, 3:].T)
-            row += 6
-        columns = columns.at[:, node, 3:].set(0.0)
-    before = bordered.border
-    below = jnp.zeros_like(corner.T)
-    whole = Border(
-        jnp.concatenate([before.columns, columns]),
-        jnp.concatenate([before.rows, own.rows]),
-        jnp.block([[before.corner, corner], [below, own.corner]]),
-    )
-    return BorderedSystem(bordered.system, whole)
+    return extended(bordered, Border.joined(*borders), projectors, nodes, anchors)
 
 
 def negative_besides(scene: Scene) -> int:
@@ -85,7 +65,7 @@ def _coupling(
     zero = jnp.zeros_like(rows[:, :, :3])
     columns = jnp.concatenate([zero, rows], 2)
     rows = jnp.concatenate([rows[:, :, :3], zero, rows[:, :, 3:]], 2)
-    scaled = curvature * scales.motion / scales.wrench[:, None, None]
+    scaled = curvature * scales.motion[None, None, None] / scales.wrench[None, :, None, None]
     across = scaled[0, :, 1]
     across = 0.5 * (across + scaled[1, :, 0].T)
     nothing = jnp.zeros_like(across)

@@ -75,7 +75,7 @@ class Path(NamedTuple):
 
     step: Float[Array, ""]
     reference: Reference
-    x: Float[Array, "nodes 9"]
+    x: Float[Array, "rows 9"]
     result: Int[Array, ""]
     iterations: Int[Array, ""]
     accepted: Int[Array, ""]
@@ -266,7 +266,7 @@ def spin_resistance(scene: Scene) -> Float[Array, "nodes 6"]:
     return jnp.zeros((rod.elements + 1, 6), amount.dtype).at[0, 5].set(amount)
 
 
-def spin_is_neutral(equations: Equations[AtRest], x: Float[Array, "nodes 9"]) -> Bool[Array, ""]:
+def spin_is_neutral(equations: Equations[AtRest], x: Float[Array, "rows 9"]) -> Bool[Array, ""]:
     """Whether nothing but its resistance c holds the spin of node 0: a torque turns it by 1/c."""
     resistance = equations.scheme.resistance
     assert resistance is not None
@@ -301,7 +301,7 @@ def _astray(
     rod: Rod,
     before: Float[Array, "nodes 4"],
     after: Float[Array, "nodes 4"],
-    x: Float[Array, "nodes 9"],
+    x: Float[Array, "rows 9"],
 ) -> Bool[Array, ""]:
     """Whether a node or an element turned by more than can be told from less, or is wound up.
 

@@ -59,7 +59,7 @@ def neutral(scene: Scene, force: Float[Array, "n 3"]) -> Float[Array, ""]:
 
 def count_below(
     equations: Equations[AtRest],
-    x: Float[Array, "nodes 9"],
+    x: Float[Array, "rows 9"],
     added: Float[Array, "k nodes 6"],
     wanted: Int[Array, ""] | int,
 ) -> Int[Array, " k"]:
