@@ -217,6 +217,11 @@ class Scene(eqx.Module):
                     )
                 frames.append((node, (self.rod.position[node], self.rod.quaternion[node])))
             (a, first), (b, second) = frames
+            if self.contact is not None and self.rod.breaks and self._welded(joint.first.rod):
+                raise ValueError(
+                    f"joints[{i}]: contact of a ring beside other rods is not there (its ends would"
+                    " repel each other); give the ring a scene of its own, or no contact"
+                )
             if a == b:
                 raise ValueError(f"joints[{i}]: both points are at node {a}; give two nodes")
             with jax.ensure_compile_time_eval():
@@ -396,7 +401,9 @@ class Scene(eqx.Module):
         where the kinds of the ends exclude it; else it follows from where the rod is placed, in
         traced code as well.
         """
-        if not self.rod.breaks and self._welded(0):
+        if self.rod.breaks:
+            return False
+        if self._welded(0):
             return True
         fixed = [end.fixed for end in self.ends]
         diameter = self.rod.diameter
