@@ -16,10 +16,10 @@ from rodjax import energy
 from rodjax.dynamics.stepping import no_info
 from rodjax.equations.overlap import least_held
 from rodjax.interactions import contact_laws
-from rodjax.interactions.contact import sites_of
 from rodjax.interactions.contact_energy import contact_energy, has_potential, pair_energy
 from rodjax.interactions.contact_forces import report, window
 from rodjax.interactions.screening import search
+from rodjax.interactions.sites import sites_of
 
 report = eqx.filter_jit(report)
 contact_energy = eqx.filter_jit(contact_energy)

@@ -11,11 +11,12 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from rodjax.equations.assembly import Scales
-from rodjax.interactions.contact import Contact, Sites, interpolate, spread
+from rodjax.interactions.contact import Contact
 from rodjax.interactions.contact_capacities import Capacity, capacities
 from rodjax.interactions.contact_forces import forces_and_derivative, gather, vertices_of
 from rodjax.interactions.screening import NearPairs
 from rodjax.interactions.self_contact import FoundContact, on_nodes
+from rodjax.interactions.sites import Sites, interpolate, spread
 from rodjax.rods.state import NodeMotion
 from rodjax.scenes.holds import Node, with_row
 

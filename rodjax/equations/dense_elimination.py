@@ -15,9 +15,9 @@ from jaxtyping import Array, Float, Int
 
 from rodjax.equations.assembly import AS_COLUMNS
 from rodjax.equations.coupling import Coupling
-from rodjax.interactions.contact import interpolate
 from rodjax.interactions.contact_capacities import Capacity
 from rodjax.interactions.contact_forces import vertices_of
+from rodjax.interactions.sites import interpolate
 from rodjax.numerics.block_tridiagonal import BlockTridiagonal, Factors
 from rodjax.numerics.signs import determinant_signs, negative_in_all
 

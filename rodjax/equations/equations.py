@@ -8,7 +8,6 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float
 
-from rodjax.constraints import ends
 from rodjax.equations import joint_terms
 from rodjax.equations.anchored import Anchor, AnchoredBordered, AnchoredSystem
 from rodjax.equations.assembly import Scales, assemble, residual_rows
@@ -16,6 +15,7 @@ from rodjax.equations.border import BorderedSystem
 from rodjax.equations.coupled import CoupledSystem
 from rodjax.equations.coupling import Coupling, couple
 from rodjax.equations.generalized_alpha import coefficients
+from rodjax.equations.goals import Goals, gaps, goals_of, scales_of
 from rodjax.equations.imbalance import (
     Acting,
     imbalance,
@@ -46,13 +46,6 @@ class _Placed(NamedTuple):
     increment: Float[Array, "nodes 6"]
 
 
-class _Goals(NamedTuple):
-    """Where schedules have what is held, from the nodes that increments count from."""
-
-    shift: Float[Array, "h 3"]
-    turn: Float[Array, "h 4"]
-
-
 Scheme = TypeVar("Scheme", bound=AbstractScheme)
 
 
@@ -74,7 +67,7 @@ class Equations(eqx.Module, Generic[Scheme]):
     time: Float[Array, ""]
     scales: Scales
     projectors: Float[Array, "h 6 6"]
-    goals: _Goals
+    goals: Goals
     found: Found | None = None
 
     @classmethod
@@ -88,9 +81,9 @@ class Equations(eqx.Module, Generic[Scheme]):
     ) -> "Equations[Scheme]":
         """At `time`, what holds the rod at `start` moved by its schedules since."""
         scene = scene.recalling(start.memory)
-        goals = _goals(scene, scheme, start, time)
+        goals = goals_of(scene, scheme, start, time)
         held = projectors(scene, start.time)
-        return cls(scene, scheme, time, _scales(scene, scheme), held, goals, found)
+        return cls(scene, scheme, time, scales_of(scene, scheme), held, goals, found)
 
     def guess(
         self, force: Float[Array, "n 3"], joints: Float[Array, "j 6"] | None = None
@@ -161,11 +154,11 @@ class Equations(eqx.Module, Generic[Scheme]):
         wrench, constraint = self.scheme.completed(placed.change, wrench, constraint)
         scales = self.scales
         nodes = self.scene.held_nodes
-        gaps = _gaps(self.goals, rows_at(placed.increment, nodes)) / scales.motion[None]
+        lacking = gaps(self.goals, rows_at(placed.increment, nodes)) / scales.motion[None]
         joints = self.joints(x)
         if joints is not None:
             wrench = wrench - joint_terms.exerted(scene, motion, joints)
-        balances = impose(wrench / scales.wrench[None], gaps, self.projectors, nodes)
+        balances = impose(wrench / scales.wrench[None], lacking, self.projectors, nodes)
         rows = residual_rows(self.of_nodes(x), constraint, balances)
         if joints is None:
             return rows
@@ -357,37 +350,3 @@ def step_equations(
     """Equations of a step of generalised-alpha to `stop`."""
     scheme = Step(coefficients(spectral_radius, stop - state.time), state)
     return Equations.of(scene, scheme, state, stop, found)
-
-
-def _scales(scene: Scene, scheme: AbstractScheme) -> Scales:
-    """Mean element length; a force that makes inertia plus bending of an element about 1.
-
-    Without derivative, for the solution does not hang on them.
-    """
-    rod = scene.rod
-    length = rod.mean_length
-    force = rod.mean_bending / length**2
-    slopes = scheme.slopes()
-    if rod.mass is not None and slopes is not None:
-        mass = jnp.mean(rod.solid(rod.mass)) * length
-        force = force + slopes.by_acceleration * mass * length
-    return Scales(*lax.stop_gradient((length, force)))
-
-
-def _goals(scene: Scene, scheme: AbstractScheme, start: State, time) -> _Goals:
-    both = lambda rows: rows_at(rows, scene.held_nodes)
-    frames, (position, quaternion) = both(start.quaternion), scheme.origin()
-    moved = [
-        ends.increments(end, start.time, time, frame)
-        for (_, _, end), frame in zip(scene.holds, frames, strict=True)
-    ]
-    moved = jnp.stack(moved)
-    turn = rotations.multiply(frames, rotations.exponential(moved[:, 3:]))
-    turn = rotations.multiply(rotations.conjugate(both(quaternion)), turn)
-    return _Goals(moved[:, :3] - both(position - start.position), turn)
-
-
-def _gaps(goals: _Goals, moved: Float[Array, "h 6"]) -> Float[Array, "h 6"]:
-    """What they lack after such increments: displacement, rotation as the body spin to undo."""
-    turn = rotations.multiply(rotations.conjugate(goals.turn), rotations.exponential(moved[:, 3:]))
-    return jnp.concatenate([moved[:, :3] - goals.shift, rotations.logarithm(turn)], 1)

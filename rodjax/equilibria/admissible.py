@@ -106,10 +106,8 @@ def allowed(
         edge = (rod.length / length)[:, None]
         edge = edge * jnp.einsum("nij,nj->ni", kinematics.frame, stretch)
         moved = jnp.cumsum(jnp.concatenate([0 * begin[:1], edge]), 0)
-        if rod.breaks:  # each counts from its own first node
-            moved = moved - moved[begins] + begin[numbers]
-        else:
-            moved = begin + moved
+        # each counts from its own first node
+        moved = moved - moved[begins] + begin[numbers] if rod.breaks else begin + moved
         return jnp.concatenate([moved, spins], 1)
 
     parameters = 3 * rods + 3 * (n + 1) + (0 if give is None else 3 * n)

@@ -8,9 +8,10 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool, Float
 
-from rodjax.interactions.contact import Contact, Sites, along, interpolate, sites_of, spread
+from rodjax.interactions.contact import Contact
 from rodjax.interactions.contact_laws import PairProperties, continued
 from rodjax.interactions.screening import BLOCK, NearPairs, search
+from rodjax.interactions.sites import Sites, along, interpolate, sites_of, spread
 from rodjax.numerics.batching import largest, one_by_one
 from rodjax.rods.rod import Rod
 

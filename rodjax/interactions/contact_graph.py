@@ -6,7 +6,7 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
-from rodjax.interactions.contact import Sites
+from rodjax.interactions.sites import Sites
 from rodjax.numerics.chunks import CHUNK, chunks, part, whole_chunks
 from rodjax.numerics.front_order import FrontSize, Order, arrange
 from rodjax.numerics.frontal import Distant, Stencils

@@ -11,10 +11,11 @@ from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
 from rodjax.interactions import contact_graph
-from rodjax.interactions.contact import Contact, Sites, along, interpolate
+from rodjax.interactions.contact import Contact
 from rodjax.interactions.contact_capacities import capacities
 from rodjax.interactions.contact_graph import Graph
 from rodjax.interactions.contact_laws import PairProperties
+from rodjax.interactions.sites import Sites, along, interpolate
 from rodjax.numerics import newton
 from rodjax.numerics.batching import largest, only_where
 

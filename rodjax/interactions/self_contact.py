@@ -7,11 +7,12 @@ from jax.ad_checkpoint import checkpoint_name
 from jaxtyping import Array, Float
 
 from rodjax.interactions import contact_energy, contact_forces, screening
-from rodjax.interactions.contact import Contact, Sites, sites_of
+from rodjax.interactions.contact import Contact
 from rodjax.interactions.contact_laws import PairProperties, ignores_approach
 from rodjax.interactions.interaction import AbstractInteraction
 from rodjax.interactions.roles import Role
 from rodjax.interactions.screening import NearPairs
+from rodjax.interactions.sites import Sites, sites_of
 from rodjax.numerics import newton
 from rodjax.numerics.results import Result, join
 

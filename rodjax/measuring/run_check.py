@@ -16,7 +16,7 @@ from rodjax.dynamics.run import Run
 from rodjax.equations.generalized_alpha import GeneralizedAlpha
 from rodjax.equilibria.linear_stability import stability
 from rodjax.equilibria.unstable_modes import neutral
-from rodjax.interactions import contact
+from rodjax.interactions import sites
 from rodjax.interactions.contact_laws import PairProperties, continued
 from rodjax.measuring import energy, measures, numerical_damping
 from rodjax.numerics.results import MESSAGES, Result
@@ -188,7 +188,7 @@ def _contact(scene: Scene, run: Run) -> dict[str, Finding | None]:
     push, ratio = (float(np.asarray(v)[most]) for v in (found.total, found.smallest))
     if push == 0 or not np.isfinite(ratio):
         return {}
-    where = contact.sites_of(the_contact, scene.rod, scene.closed)
+    where = sites.sites_of(the_contact, scene.rod, scene.closed)
     diameter = np.max(np.asarray(where.diameter))
     mass = None if where.mass is None else jnp.mean(where.mass)
     pair = PairProperties(jnp.asarray(diameter), mass)

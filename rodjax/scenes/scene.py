@@ -10,23 +10,24 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from rodjax.constraints.ends import AbstractEnd, Free, check_end
+from rodjax.constraints.ends import AbstractEnd, Free
 from rodjax.constraints.joints import AbstractJoint
 from rodjax.constraints.supports import Support
 from rodjax.inputs.brief import brief
-from rodjax.inputs.validation import all_known, as_traced, check_instance, known
+from rodjax.inputs.validation import all_known, as_traced, known
 from rodjax.interactions.contact import Contact
 from rodjax.interactions.interaction import AbstractInteraction
 from rodjax.interactions.load import AbstractLoad
 from rodjax.interactions.self_contact import FoundContact, SelfContact
-from rodjax.rods.chain import chain, rods_of
+from rodjax.rods.chain import rods_of
 from rodjax.rods.constitution import recalled, seen_by_material
 from rodjax.rods.rod import Rod
 from rodjax.rods.state import Memory, NodeMotion, State, node_motion
-from rodjax.scenes import probing
+from rodjax.scenes import probing, scene_checks
 from rodjax.scenes.holds import Held, Node
 from rodjax.scenes.material_probing import check_law
 from rodjax.scenes.potentials import check_potential
+from rodjax.scenes.scene_checks import as_one, ends_of
 
 _FREE = Free()
 
@@ -47,29 +48,6 @@ def _with_arrays(part):
     """The part with floating point numbers in it as arrays; whole ones may be indices or sizes."""
     is_number = lambda leaf: isinstance(leaf, float | np.floating | np.ndarray)
     return jax.tree.map(lambda leaf: as_traced(leaf) if is_number(leaf) else leaf, part)
-
-
-def _as_one(rod: Rod | None, rods: Sequence[Rod]) -> Rod:
-    if rod is not None:
-        raise ValueError("rods: give one rod as `rod` or several as `rods`, not both")
-    if not isinstance(rods, list | tuple):
-        raise ValueError("rods: give a tuple of rods, for one rod (rod,)")
-    return chain(rods)
-
-
-def _ends_of(count: int, first, last) -> tuple[AbstractEnd, AbstractEnd, tuple[AbstractEnd, ...]]:
-    """The scene's ends, and the inner ones in the order of the nodes, of as many rods."""
-    both = {}
-    for name, given in (("first_end", first), ("last_end", last)):
-        if isinstance(given, tuple) and len(given) != count:
-            raise ValueError(f"{name}: give one end for each of {count} rods, got {len(given)}")
-        others = [_FREE] * (count - 1)
-        alone = (given, *others) if name == "first_end" else (*others, given)
-        both[name] = given if isinstance(given, tuple) else alone
-        check_end(**{f"{name}[{i}]": end for i, end in enumerate(both[name])})
-    firsts, lasts = both["first_end"], both["last_end"]
-    inner = [end for pair in zip(lasts[:-1], firsts[1:], strict=True) for end in pair]
-    return firsts[0], lasts[-1], tuple(inner)
 
 
 class Scene(eqx.Module):
@@ -115,8 +93,8 @@ class Scene(eqx.Module):
         rods: Sequence[Rod] | None = None,
     ):
         if rods is not None:
-            rod = _as_one(rod, rods)
-            first_end, last_end, inner_ends = _ends_of(len(rods), first_end, last_end)
+            rod = as_one(rod, rods)
+            first_end, last_end, inner_ends = ends_of(len(rods), first_end, last_end)
         if isinstance(contact, Contact) and isinstance(rod, Rod):
             contact = contact.fitted(rod)
         given = (rod, first_end, last_end, loads, contact, supports, inner_ends, joints)
@@ -124,7 +102,7 @@ class Scene(eqx.Module):
             setattr(self, field.name, value)
 
     def __check_init__(self):
-        self._check_kinds()
+        scene_checks.check_kinds(self)
         for one in self.interactions:
             one.check(self.rod)
         for load in self.loads:
@@ -133,121 +111,13 @@ class Scene(eqx.Module):
         for i, load in enumerate(self.loads):
             probing.check_local(load, self.rod, f"loads[{i}]")
             check_potential(load, self.rod, f"loads[{i}]")
-        self._check_supports()
+        scene_checks.check_supports(self)
         check_law(self.rod)
-        self._check_joints()
+        scene_checks.check_joints(self)
         for held in self.holds:
             probing.check_end(held.end, held.name)
         if self.rod.mass is None:
-            self._check_inertialess()
-
-    def _check_kinds(self):
-        one = "give one rod, of straight_rod or curved_rod, or several as rods=(one, another)"
-        check_instance(Rod, one, rod=self.rod)
-        check_end(first_end=self.first_end, last_end=self.last_end)
-        if not isinstance(self.loads, tuple):
-            raise ValueError("loads: give a tuple, for one load (load,)")
-        mend = "give a load such as Gravity((0, 0, -9.81))"
-        check_instance(AbstractLoad, mend, **{f"loads[{i}]": x for i, x in enumerate(self.loads)})
-        if not isinstance(self.supports, tuple):
-            raise ValueError("supports: give a tuple, for one support (support,)")
-        mend = "give a support such as Support(node, Pinned())"
-        named = {f"supports[{i}]": x for i, x in enumerate(self.supports)}
-        check_instance(Support, mend, **named)
-        check_instance(
-            AbstractEnd, "give an end such as Free()",
-            **{f"inner_ends[{i}]": end for i, end in enumerate(self.inner_ends)},
-        )  # fmt: skip
-        if len(self.inner_ends) != 2 * len(self.rod.breaks):
-            raise ValueError(
-                f"inner_ends: {len(self.rod.parts)} rods have {2 * len(self.rod.breaks)}, got"
-                f" {len(self.inner_ends)}; give the rods as rods=(one, another)"
-            )
-        if self.contact is not None:
-            mend = "give Contact(law, segments, cutoff), or None for no contact"
-            check_instance(Contact, mend, contact=self.contact)
-
-    def _check_supports(self):
-        taken = {held.node: held.name for held in self._held_ends}
-        for i, support in enumerate(self.supports):
-            name = f"supports[{i}]"
-            if support.rod >= len(self.rod.parts):
-                raise ValueError(
-                    f"{name}: rod: the scene's rods are 0 to {len(self.rod.parts) - 1}, got"
-                    f" {support.rod}"
-                )
-            if not known(support.node):
-                continue
-            part = self.rod.parts[support.rod]
-            node, last = int(support.place(part)), part.last - part.first
-            if not part.first <= node <= part.last:
-                raise ValueError(
-                    f"{name}: node: a rod of {last} elements has the nodes 0 to {last}, or"
-                    f" {-last - 1} to -1, got {int(support.node)}"
-                )
-            if node in taken:
-                raise ValueError(
-                    f"{name}: node {node} is held by {taken[node]} already; give one thing that"
-                    " takes away all directions of both"
-                )
-            taken[node] = name
-
-    def _check_joints(self):
-        if not isinstance(self.joints, tuple):
-            raise ValueError("joints: give a tuple, for one joint (joint,)")
-        mend = "give a joint such as Ball(Point(-1, rod=0), Point(0, rod=1))"
-        check_instance(
-            AbstractJoint, mend, **{f"joints[{i}]": joint for i, joint in enumerate(self.joints)}
-        )
-        for i, joint in enumerate(self.joints):
-            frames = []
-            for which, point in (("first", joint.first), ("second", joint.second)):
-                name = f"joints[{i}].{which}"
-                if point.rod >= len(self.rod.parts):
-                    raise ValueError(
-                        f"{name}: rod: the scene's rods are 0 to {len(self.rod.parts) - 1}, got"
-                        f" {point.rod}"
-                    )
-                part = self.rod.parts[point.rod]
-                node, last = point.place(self.rod.parts), part.last - part.first
-                if not part.first <= node <= part.last:
-                    raise ValueError(
-                        f"{name}: node: a rod of {last} elements has the nodes 0 to {last}, or"
-                        f" {-last - 1} to -1, got {point.node}"
-                    )
-                frames.append((node, (self.rod.position[node], self.rod.quaternion[node])))
-            (a, first), (b, second) = frames
-            if self.contact is not None and self.rod.breaks and self._welded(joint.first.rod):
-                raise ValueError(
-                    f"joints[{i}]: contact of a ring beside other rods is not there (its ends would"
-                    " repel each other); give the ring a scene of its own, or no contact"
-                )
-            if a == b:
-                raise ValueError(f"joints[{i}]: both points are at node {a}; give two nodes")
-            with jax.ensure_compile_time_eval():
-                apart = joint.projector()[:3, :3] @ joint.translation(first, second)
-            length = self.rod.length
-            if not all_known((apart, length)):
-                continue
-            most = 1e-6 * float(np.sum(np.asarray(length)))
-            if not np.linalg.norm(np.asarray(apart)) <= most:
-                raise ValueError(
-                    f"joints[{i}]: its points are {np.linalg.norm(np.asarray(apart)):.3g} apart in"
-                    " directions that it holds, as the rods are placed; place them so that they"
-                    " meet, or give the points offsets"
-                )
-
-    def _check_inertialess(self):
-        found = [load.resistance for load in self.loads]
-        drags = [resistance for resistance in found if resistance is not None]
-        if not drags:
-            raise ValueError("loads: a rod with mass=None needs a LinearDrag to balance elasticity")
-        names = ("normal", "tangential", "rotational")
-        for name, values in zip(names, zip(*drags, strict=True), strict=True):
-            if any(not all_known(v) or not hasattr(v, "shape") for v in values):
-                continue
-            if not np.all(sum(np.asarray(v) for v in values) > 0):
-                raise ValueError(f"{name}: a rod with mass=None needs a positive {name} LinearDrag")
+            scene_checks.check_inertialess(self)
 
     def __repr__(self) -> str:
         fields = [f.name for f in dataclasses.fields(self)]
@@ -275,10 +145,10 @@ class Scene(eqx.Module):
         places = (x.place(parts[x.rod]) for x in self.supports)
         supports = enumerate(zip(places, self.supports, strict=True))
         held = (Held(f"supports[{i}]", place, x.end) for i, (place, x) in supports)
-        return (*self._held_ends, *held)
+        return (*self.held_ends, *held)
 
     @property
-    def _held_ends(self) -> tuple[Held, ...]:
+    def held_ends(self) -> tuple[Held, ...]:
         """The ends of all rods, the scene's two first."""
         first, *inner, last = (node for part in self.rod.parts for node in part)
         ends = Held("first_end", first, self.first_end), Held("last_end", last, self.last_end)
@@ -403,7 +273,7 @@ class Scene(eqx.Module):
         """
         if self.rod.breaks:
             return False
-        if self._welded(0):
+        if self.welded(0):
             return True
         fixed = [end.fixed for end in self.ends]
         diameter = self.rod.diameter
@@ -416,7 +286,7 @@ class Scene(eqx.Module):
             closed = closed & one
         return closed
 
-    def _welded(self, index: int) -> bool:
+    def welded(self, index: int) -> bool:
         """Whether a joint holds the two ends of one of the rods together, frames and all."""
         part = self.rod.parts[index]
         both = {(part.first, part.last), (part.last, part.first)}
