@@ -12,7 +12,6 @@ sign of its determinant tells whether the number of modes that diverge is odd; f
 """
 
 import dataclasses
-import functools
 
 import jax
 import jax.numpy as jnp
@@ -81,8 +80,17 @@ def _count(equations: Equations[AtRest], x, added: Float[Array, "nodes 6"]) -> I
     symmetric = _symmetric(blocks)
     blocks = jax.tree.map(lambda a, b: jnp.where(even, a, b), symmetric, blocks)
     scene = equations.scene
-    counted = functools.partial(_counted, equations=equations, x=x)
-    held = equations.projectors, scene.held_nodes
+    # numbers of nodes that are known stay so: a branch would make tracers of them
+    places = scene.held_nodes
+    known = [node if isinstance(node, int) else None for node in places]
+    moving = tuple(node for node in places if not isinstance(node, int))
+
+    def counted(system, projectors, moving, even):
+        given = iter(moving)
+        nodes = tuple(next(given) if node is None else node for node in known)
+        return _counted(system, projectors, nodes, even, equations=equations, x=x)
+
+    held = equations.projectors, moving
     if scene.contact is None:
         return counted(CoupledSystem(blocks), *held, even)
     motion = equations.motion(x)
