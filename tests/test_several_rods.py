@@ -128,6 +128,39 @@ def test_what_is_asked_of_one_rod(system):
         assert measure(rx.states_of(state)[1]) == 0
 
 
+@pytest.mark.parametrize(
+    "function",
+    [
+        lambda scene: rx.regrid(rx.placing(scene), scene.rods[0]),
+        lambda scene: rx.imperfect(scene.rod),
+        lambda scene: rx.measures.turns(scene, 1.0),
+        lambda scene: rx.measures.apex(rx.placing(scene), jnp.asarray([0.0, 0.0, 1.0])),
+    ],
+    ids=["regrid", "imperfect", "turns", "apex"],
+)
+def test_what_is_of_one_rod_is_refused(system, function):
+    with pytest.raises(ValueError, match=r"(state|rod): it is (of )?2 rods"):
+        function(system)
+
+
+def test_arc_length_counts_from_each_rods_first_node(system):
+    expected = [*np.linspace(0.0, 1.0, 7), *np.linspace(0.0, 0.7, 5)]
+    np.testing.assert_allclose(system.rod.arc_length, expected, atol=1e-14)
+
+
+def test_a_run_of_several_is_kept_and_read(system, tmp_path):
+    """Its scene, with inner ends, and its states, which are still of several rods."""
+    state = rx.start(system)
+    run = rx.rollout(system, state, jnp.linspace(0.0, 0.02, 3)[1:])
+    rx.storage.save(tmp_path / "run.h5", system, run)
+    kept = rx.storage.load(tmp_path / "run.h5")
+    assert kept.run.states.breaks == system.rod.breaks == (6,)
+    assert [held.name for held in kept.scene.holds] == [held.name for held in system.holds]
+    np.testing.assert_array_equal(kept.run.states.position, run.states.position)
+    again = rx.rollout(kept.scene, state, run.times[1:])
+    np.testing.assert_array_equal(again.states.position, run.states.position)
+
+
 # Contact between rods
 
 

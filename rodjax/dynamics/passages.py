@@ -45,6 +45,8 @@ def unexplained(scene: Scene, before: State, after: State) -> Float[Array, ""]:
     both = jax.tree.map(lambda *leaves: jnp.stack(leaves), before, after)
     linking = jax.vmap(lambda state: twist(state) + writhe_of(scene.closed, state))(both)
     change = linking[1] - linking[0]
+    if scene.welded(0):  # a ring, whatever its ends do
+        return change
     for end, tangent, sign in zip(scene.ends, tangents, (-1.0, 1.0), strict=True):
         if end.rotation is None:
             continue

@@ -122,6 +122,7 @@ _TEMPLATES = {
     "State.auxiliary": "{length}/{time}^2 and rad/{time}^2",
     "State.jerk": "{length}/{time}^3 and rad/{time}^3",
     "State.force": "{force}",
+    "State.joints": "{force} and {force} {length}",
     "State.settling": "1",
     "Stored.schedule": "{time}",
     "Run.result": "1",

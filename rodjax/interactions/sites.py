@@ -74,7 +74,7 @@ def _sites_of_one(contact: Contact, rod: Rod, part: Part, segments: int) -> Site
     spacing = total / (segments * points)
     nodes = rod.arc_length
     if rod.breaks:
-        nodes = nodes[part.nodes] - nodes[part.first]
+        nodes = nodes[part.nodes]
     count = part.last - part.first
 
     def element(s):

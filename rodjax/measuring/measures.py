@@ -19,7 +19,7 @@ from rodjax.measuring.blocks import over_states
 from rodjax.numerics import rotations
 from rodjax.numerics.compilation import compiled
 from rodjax.rods import balance, topology
-from rodjax.rods.chain import alone
+from rodjax.rods.chain import alone, check_alone
 from rodjax.rods.rod import Rod
 from rodjax.rods.state import State
 from rodjax.rods.strains import curvature, strains
@@ -63,7 +63,11 @@ def _turns(scene, time, start):
 
 
 def _check_counted(scene: Scene) -> None:
-    """Raise ValueError unless the ends are turned about their tangents (outside traced code)."""
+    """Raise ValueError unless it is one rod and its ends are turned about their tangents.
+
+    The latter outside traced code only.
+    """
+    check_alone(scene.rod, "a number of turns")
     for name, node, end in scene.holds[:2]:
         if end.rotation is None or not all_known(end.rotation.axis, scene.rod.quaternion):
             continue

@@ -58,6 +58,7 @@ from rodjax.numerics.failure import not_a_number
 from rodjax.numerics.results import Result, join
 from rodjax.reference.paper_equations import Fields, PaperEquations, weights
 from rodjax.reference.paper_solvers import AbstractSolver, BlockSolve
+from rodjax.rods.chain import check_alone
 from rodjax.rods.rod import Rod, check_linear
 from rodjax.rods.state import State
 from rodjax.rods.strains import curvature
@@ -98,6 +99,9 @@ def check_scene(scene: Scene) -> None:
     """Raise ValueError where the scene has what this scheme does not support."""
     rod = scene.rod
     check_linear(rod, "the paper's scheme")
+    check_alone(rod, "the paper's scheme")
+    if scene.joints:
+        raise ValueError("joints: the paper's scheme holds a rod at its ends only")
     if rod.compliance is not None:
         raise ValueError(
             "compliance: the paper's scheme is for inextensible, unshearable rods; pass"

@@ -31,6 +31,7 @@ from rodjax.inputs.validation import all_known
 from rodjax.interactions.load import total_wrench
 from rodjax.numerics import rotations
 from rodjax.rods import balance
+from rodjax.rods.chain import check_alone
 from rodjax.rods.inertia import node_inertia
 from rodjax.rods.rod import Rod
 from rodjax.rods.state import NodeMotion, State
@@ -143,6 +144,9 @@ def _with_added_mass(mass, added, force, both, prescribed):
 def _check(scene: Scene) -> None:
     """Raise ValueError where the scene is not a differential equation in this form."""
     rod = scene.rod
+    check_alone(rod, "the differential equation")
+    if scene.joints:
+        raise ValueError("joints: not part of the differential equation; use rodjax.rollout")
     for name, mend in (
         ("mass", "a density"),
         ("rotary_inertia", "rotary_inertia=True"),

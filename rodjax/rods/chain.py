@@ -215,3 +215,12 @@ def alone(state: State, asked: str) -> State:
             " rodjax.states_of(state)"
         )
     return state
+
+
+def check_alone(rod: Rod, asked: str) -> None:
+    """Raise ValueError if a rod is several, of which `asked` is not to be had as one."""
+    if rod.breaks:
+        raise ValueError(
+            f"rod: it is {len(rod.parts)} rods, and {asked} is of one: do it before they are given"
+            " to the scene, or take one of `scene.rods`"
+        )

@@ -14,6 +14,7 @@ from rodjax.inputs.validation import (
     check_not_negative,
     check_scalar,
 )
+from rodjax.rods.chain import check_alone
 from rodjax.rods.rod import Rod
 
 
@@ -54,6 +55,7 @@ def imperfect(
     """
     name, size = ("fraction", fraction) if amplitude is None else ("amplitude", amplitude)
     check_instance(Rod, "give a rod, of straight_rod or curved_rod", rod=rod)
+    check_alone(rod, "an imperfection")
     check_scalar(**{name: size})
     check_not_negative(**{name: size})
     modes, seed = as_integer(modes), as_integer(seed)

@@ -11,6 +11,7 @@ from jax import lax
 from rodjax.inputs.validation import check_instance, known
 from rodjax.numerics import rotations
 from rodjax.numerics.compilation import compiled
+from rodjax.rods.chain import alone, check_alone
 from rodjax.rods.rod import Rod
 from rodjax.rods.state import State
 from rodjax.rods.strains import element_quaternions, relative_rotation
@@ -47,6 +48,8 @@ def regrid(state: State, rod: Rod, *, old: Rod | None = None) -> State:
     check_instance(Rod, "give the rod on its new grid", rod=rod)
     if state.position.ndim != 2:
         raise ValueError("state: give one state, such as `run.final` or `run.state(3)`")
+    alone(state, "another grid")
+    check_alone(rod, "another grid")
     if state.memory is not None and state.memory.material is not None:
         raise ValueError(
             "state.memory: what a material remembers is not carried over to another grid; go on on"

@@ -289,8 +289,12 @@ class Rod(eqx.Module):
 
     @property
     def arc_length(self) -> Float[Array, " nodes"]:
-        """Rest arc length s of the nodes."""
-        return jnp.concatenate([jnp.zeros_like(self.length[:1]), jnp.cumsum(self.length)])
+        """Rest arc length s of the nodes, each rod's from its own first."""
+        along = jnp.concatenate([jnp.zeros_like(self.length[:1]), jnp.cumsum(self.length)])
+        if not self.breaks:
+            return along
+        counts = [part.last - part.first + 1 for part in self.parts]
+        return along - along[np.repeat([part.first for part in self.parts], counts)]
 
     @property
     def midpoints(self) -> Float[Array, " n"]:
