@@ -9,6 +9,8 @@ import pytest
 
 import rodjax as rx
 from rodjax.measuring import energy, measures
+from rodjax.numerics import rotations
+from rodjax.rods.state import at_rest
 from rodjax.rods.strains import curvature
 from rodjax.scenes.placing import placing
 
@@ -91,6 +93,21 @@ def test_a_rod_on_a_slope(mu, kind):
     assert np.max(np.abs(ledger.residual)) < 2e-4
 
 
+def test_what_a_floor_exerts_on_a_rod_moved_along_it():
+    """Normal force, friction up to its limit, and its couple about the tangent."""
+    scene, _ = lying(friction=rx.Friction(0.4, 1e6), direction=(0.0, 1.0, 0.0))
+    floor, rod = scene.loads[1], scene.rod
+    rest = at_rest(jnp.asarray(0.0), rod.position, rod.quaternion)
+    floor = floor.recalling(floor.first_memory(rod, rest))
+    for way, traction in ((1e-6, 1.0), (1e-3, 0.4 * WEIGHT)):
+        wrench = floor.wrench(rod, rest._replace(position=rod.position.at[:, 0].add(way)))
+        force, moment = wrench[:, :3], rotations.rotate(rod.quaternion, wrench[:, 3:])
+        per_length = np.asarray(force / rod.node_length[:, None])
+        np.testing.assert_allclose(per_length, [[-traction, 0, WEIGHT]] * len(force), rtol=1e-9)
+        np.testing.assert_allclose(moment[:, 1], -0.5 * DIAMETER * force[:, 0], rtol=1e-9)
+
+
+@pytest.mark.slow
 def test_a_rod_that_spins_begins_to_roll():
     """Friction acts on its surface: of a spin w about itself a third is left, v = w R/3."""
     scene, _ = lying(friction=rx.Friction(0.4, 1e6), direction=(0.0, 1.0, 0.0))
