@@ -106,8 +106,10 @@ def figure(path: Path, thresholds: dict[int, float], runs: list[dict]) -> None:
         span = np.ptp(page[:, 0]) + 2 * DIAMETER
         points = 160.0 / span  # to a nanometre, of a panel
         for i in order:  # the nearest last, with an outline
-            one.plot(*page[i : i + 2, :2].T, color="white", lw=1.6 * DIAMETER * points)
-            one.plot(*page[i : i + 2, :2].T, color="C0", lw=DIAMETER * points)
+            a, b = page[i : i + 2, :2]
+            outline, width = np.array([a + 0.2 * (b - a), b - 0.2 * (b - a)]), DIAMETER * points
+            one.plot(*outline.T, color="white", lw=1.6 * width, solid_capstyle="butt")
+            one.plot(*np.array([a, b]).T, color="C0", lw=width, solid_capstyle="round")
         one.set(aspect="equal", title=f"{run['turns']:.2f} turns", xlabel="[nm]")
     fig.savefig(path, dpi=150)
     plt.close(fig)
@@ -120,7 +122,7 @@ def main(argv=None) -> int:
     parser.add_argument("--quick", action="store_true", help="coarse and short, to try it out")
     parser.add_argument("--out", type=Path, default=Path("results/ring"), metavar="DIR")
     options = parser.parse_args(argv)
-    elements = options.elements or (36 if options.quick else 72)
+    elements = options.elements or (30 if options.quick else 72)
     grids = (20, elements) if options.quick else (20, 40, 80, 160)
     options.out.mkdir(parents=True, exist_ok=True)
     thresholds = {n: threshold(n) for n in grids}

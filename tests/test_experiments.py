@@ -340,6 +340,19 @@ def test_ladder_in_short_mode(tmp_path):
 
 
 @pytest.mark.slow
+def test_ring_in_short_mode(tmp_path):
+    text = _run("ring.py", "--quick", "--out", str(tmp_path))
+    summary = json.loads((tmp_path / "summary.json").read_text())
+    (ring,) = summary["rings"]
+    assert summary["thresholds"]["30"] == pytest.approx(1, abs=0.006) and "sqrt(3)" in text
+    assert ring["linking_error"] < 1e-6 and ring["gap_of_the_weld"] < 1e-9
+    # a figure 8 of strands that touch
+    assert ring["writhe"] == pytest.approx(1.1, abs=0.05)
+    assert 0.9 < ring["nearest"] < 1
+    assert (tmp_path / "ring.png").exists()
+
+
+@pytest.mark.slow
 def test_capstan_in_short_mode(tmp_path):
     text = _run("capstan.py", "--quick", "--out", str(tmp_path))
     summary = json.loads((tmp_path / "summary.json").read_text())
