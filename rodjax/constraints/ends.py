@@ -28,7 +28,7 @@ from rodjax.inputs.validation import (
 from rodjax.numerics import rotations
 
 
-def _unit(vector):
+def unit_vector(vector):
     """The vector over its length; what has none is left for the check."""
     vector = as_float(vector)
     if not all_known(vector) and vector.shape == (3,):
@@ -42,7 +42,8 @@ def _unit(vector):
     return jnp.asarray(scaled / np.linalg.norm(scaled))
 
 
-def _check_axis(axis):
+def check_axis(axis) -> None:
+    """Raise ValueError unless it is three finite components, not all zero."""
     check_numbers(axis=axis)
     if jnp.shape(axis) != (3,) or (known(axis) and not 0 < np.max(np.abs(axis)) < np.inf):
         given = np.asarray(axis) if known(axis) else shown(axis)
@@ -57,11 +58,11 @@ class Turn(eqx.Module):
         angle: schedule of the angle [rad] (one turn is 2 pi); only its changes count.
     """
 
-    axis: Float[Array, "3"] = eqx.field(converter=_unit)
+    axis: Float[Array, "3"] = eqx.field(converter=unit_vector)
     angle: AbstractSchedule
 
     def __check_init__(self):
-        _check_axis(self.axis)
+        check_axis(self.axis)
         check_schedule((), _ANGLE, angle=self.angle)
 
     def __call__(self, time):
@@ -238,12 +239,12 @@ class Slider(AbstractEnd):
         rotation: a `Turn`, about an inertial axis through the end's node.
     """
 
-    axis: Float[Array, "3"] = eqx.field(converter=_unit)
+    axis: Float[Array, "3"] = eqx.field(converter=unit_vector)
     displacement: AbstractSchedule | None = None
     rotation: Turn | None = None
 
     def __check_init__(self):
-        _check_axis(self.axis)
+        check_axis(self.axis)
         _check_motion(self.displacement, self.rotation)
 
     def projector(self, time):

@@ -13,7 +13,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from rodjax.constraints.ends import _check_axis, _unit
+from rodjax.constraints.ends import check_axis, unit_vector
 from rodjax.inputs.validation import as_float, check_instance, check_integer, check_numbers, shown
 from rodjax.numerics import rotations
 
@@ -145,11 +145,11 @@ class Hinge(AbstractJoint):
 
     first: Point
     second: Point
-    axis: Float[Array, "3"] = eqx.field(converter=_unit)
+    axis: Float[Array, "3"] = eqx.field(converter=unit_vector)
 
     def __check_init__(self):
         _check_points(self.first, self.second)
-        _check_axis(self.axis)
+        check_axis(self.axis)
 
     def projector(self):
         return jnp.eye(6).at[3:, 3:].add(-jnp.outer(self.axis, self.axis))
@@ -171,11 +171,11 @@ class Slide(AbstractJoint):
 
     first: Point
     second: Point
-    axis: Float[Array, "3"] = eqx.field(converter=_unit)
+    axis: Float[Array, "3"] = eqx.field(converter=unit_vector)
 
     def __check_init__(self):
         _check_points(self.first, self.second)
-        _check_axis(self.axis)
+        check_axis(self.axis)
 
     def projector(self):
         return jnp.eye(6).at[:3, :3].add(-jnp.outer(self.axis, self.axis))

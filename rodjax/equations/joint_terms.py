@@ -11,6 +11,7 @@ which a joint has none of that neither turns nor holds rotations.
 """
 
 import functools
+from collections.abc import Callable
 from typing import NamedTuple
 
 import jax
@@ -46,34 +47,47 @@ def projectors_of(scene: Scene) -> Float[Array, "j 6 6"]:
     return jnp.stack([joint.projector().astype(dtype) for joint in scene.joints])
 
 
-def _functions(scene: Scene, position, quaternion):
-    """P g of every joint, as functions of displacements and body spins (2, 6) of its nodes."""
-    at_rest = scene.rod.quaternion
-    for joint, (a, b) in zip(scene.joints, nodes_of(scene), strict=True):
-        placed = rotations.multiply(rotations.conjugate(at_rest[a]), at_rest[b])
-        projector = joint.projector().astype(position.dtype)
-        where, frames = jnp.stack([position[a], position[b]]), quaternion[jnp.asarray([a, b])]
+class _At(NamedTuple):
+    """The two nodes of a joint."""
 
-        def held(z, *, joint=joint, placed=placed, projector=projector, at=(where, frames)):
-            turned = rotations.multiply(at[1], rotations.exponential(z[:, 3:]))
-            first, second = zip(at[0] + z[:, :3], turned, strict=True)
+    position: Float[Array, "2 3"]
+    quaternion: Float[Array, "2 4"]
+
+    def after(self, z: Float[Array, "2 6"]) -> "_At":
+        """After displacements and body spins."""
+        turned = rotations.multiply(self.quaternion, rotations.exponential(z[:, 3:]))
+        return _At(self.position + z[:, :3], turned)
+
+
+def _held(scene: Scene, motion: NodeMotion) -> list[tuple[Callable, _At]]:
+    """P g of every joint, as a function of its nodes, and where these are."""
+    found = []
+    for joint, nodes in zip(scene.joints, nodes_of(scene), strict=True):
+        index = jnp.asarray(nodes)
+        first, second = scene.rod.quaternion[index]
+        placed = rotations.multiply(rotations.conjugate(first), second)
+        projector = joint.projector().astype(placed.dtype)
+
+        def held(at, *, joint=joint, placed=placed, projector=projector):
+            first, second = zip(*at, strict=True)
             return projector @ joint.gap(first, second, placed)
 
-        yield held
+        found.append((held, _At(motion.position[index], motion.quaternion[index])))
+    return found
 
 
 def gaps(scene: Scene, motion: NodeMotion) -> Float[Array, "j 6"]:
     """P g [m, rad]."""
-    still = jnp.zeros((2, 6), motion.position.dtype)
-    functions = _functions(scene, motion.position, motion.quaternion)
-    return jnp.stack([held(still) for held in functions])
+    return jnp.stack([held(at) for held, at in _held(scene, motion)])
 
 
 def slopes(scene: Scene, motion: NodeMotion) -> Float[Array, "j 6 2 6"]:
     """P G."""
-    still = jnp.zeros((2, 6), motion.position.dtype)
-    functions = _functions(scene, motion.position, motion.quaternion)
-    return jnp.stack([jax.jacfwd(held)(still) for held in functions])
+    return jnp.stack([_slope(held, at) for held, at in _held(scene, motion)])
+
+
+def _slope(held: Callable, at: _At) -> Float[Array, "6 2 6"]:
+    return jax.jacfwd(lambda z: held(at.after(z)))(jnp.zeros((2, 6), at.position.dtype))
 
 
 def exerted(
@@ -98,35 +112,18 @@ def at_points(scene: Scene, rows: Float[Array, "nodes *k"]) -> Float[Array, "j 2
 def terms(scene: Scene, motion: NodeMotion, multipliers: Float[Array, "j 6"]) -> JointTerms:
     """All of it at a configuration with these multipliers [N, N m]."""
     still = jnp.zeros((2, 6), motion.position.dtype)
-    functions = list(_functions(scene, motion.position, motion.quaternion))
-    lacking, curvature = [], []
-    for joint, nodes, p in zip(scene.joints, nodes_of(scene), multipliers, strict=True):
-        index = jnp.asarray(nodes)
-        where, frames = motion.position[index], motion.quaternion[index]
+    found = []
+    for (held, at), p in zip(_held(scene, motion), multipliers, strict=True):
 
-        def pulled(z, *, where=where, frames=frames, joint=joint, p=p, nodes=nodes):
+        def pulled(z, *, held=held, at=at, p=p):
             """G^T P p after these motions, by further ones."""
-            turned = rotations.multiply(frames, rotations.exponential(z[:, 3:]))
-            a, b = (scene.rod.quaternion[node] for node in nodes)
-            placed = rotations.multiply(rotations.conjugate(a), b)
-            projector = joint.projector().astype(p.dtype)
+            moved = at.after(z)
+            return jax.grad(lambda further: p @ held(moved.after(further)))(still)
 
-            def work(further):
-                frame = rotations.multiply(turned, rotations.exponential(further[:, 3:]))
-                at = where + z[:, :3] + further[:, :3]
-                first, second = zip(at, frame, strict=True)
-                return p @ (projector @ joint.gap(first, second, placed))
-
-            return jax.grad(work)(still)
-
-        lacking.append(pulled(still))
-        curvature.append(jax.jacfwd(pulled)(still))
-    return JointTerms(
-        jnp.stack([held(still) for held in functions]),
-        jnp.stack([jax.jacfwd(held)(still) for held in functions]),
-        jnp.stack(lacking),
-        jnp.stack(curvature),
-    )
+        found.append(
+            JointTerms(held(at), _slope(held, at), pulled(still), jax.jacfwd(pulled)(still))
+        )
+    return jax.tree.map(lambda *of_joints: jnp.stack(of_joints), *found)
 
 
 def rates_of_gaps(
@@ -138,16 +135,14 @@ def rates_of_gaps(
 ) -> Float[Array, "j 6"]:
     """The derivative in time of this order <= 3 of P g, in a motion of these accelerations."""
     found = []
-    functions = _functions(scene, motion.position, motion.quaternion)
-    for held, nodes in zip(functions, nodes_of(scene), strict=True):
-        index = jnp.asarray(nodes)
-        v, a = rate[index], acceleration[index]
+    for (held, at), nodes in zip(_held(scene, motion), nodes_of(scene), strict=True):
+        v, a = rate[jnp.asarray(nodes)], acceleration[jnp.asarray(nodes)]
         # of body spins w + a t the rotation vector has w x a / 12 to third order
         bent = rotations.cross(v[:, 3:], a[:, 3:]) / 12
 
-        def along(t, *, held=held, v=v, a=a, bent=bent):
+        def along(t, *, held=held, at=at, v=v, a=a, bent=bent):
             z = v * t + 0.5 * a * t**2
-            return held(z.at[:, 3:].add(bent * t**3))
+            return held(at.after(z.at[:, 3:].add(bent * t**3)))
 
         of_order = functools.reduce(lambda f, _: _rate_of(f), range(order), along)
         found.append(of_order(jnp.zeros((), rate.dtype)))

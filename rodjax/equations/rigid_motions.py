@@ -43,11 +43,12 @@ def check_held(
         if not all_known(both):
             return Hold()
         both = np.asarray(both)
-        if not np.any(both):
-            raise ValueError(
-                f"{scene.holding}: a rod held at neither end has no unique equilibrium; hold one"
-                " (ends.Clamped, or ends.Pinned and ends.Slider together)"
-            )
+        free_at_ends = (
+            f"{scene.holding}: a rod held at neither end has no unique equilibrium; hold one"
+            " (ends.Clamped, or ends.Pinned and ends.Slider together)"
+        )
+        if not np.any(both) and not scene.loads:
+            raise ValueError(free_at_ends)
         spin = spin_free and not np.any(both[:, 5, 5] > 0) and not scene.rod.breaks
         needed = (state.position, state.quaternion, scene.rod.length, *scene.held_nodes)
         needed = (*needed, scene.joints)
@@ -64,6 +65,8 @@ def check_held(
         if not all_known((scene, time)):
             return Hold(loads=True, spin=spin)
         unheld = len(free) - _held_by_loads(scene, state, free, time)
+    if unheld > 0 and not np.any(both):
+        raise ValueError(free_at_ends)
     if unheld > 0:
         raise ValueError(
             f"{scene.holding}: they leave {unheld} rigid motion(s) of the rod free (a swing"

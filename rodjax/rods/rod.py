@@ -265,7 +265,9 @@ class Rod(eqx.Module):
         """Values of the elements with this row where there is none."""
         if not self.breaks:
             return values
-        return values.at[np.array(self.breaks)].set(jnp.asarray(row, values.dtype))
+        places = values.at[np.array(self.breaks)]
+        # unique, or it could not be transposed
+        return places.set(jnp.asarray(row, values.dtype), unique_indices=True)
 
     @property
     def gauge_length(self) -> Float[Array, " n"]:
