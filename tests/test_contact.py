@@ -14,9 +14,9 @@ from rodjax.constraints.ends import Clamped
 from rodjax.dynamics.consistency import start
 from rodjax.dynamics.run import Run
 from rodjax.dynamics.stepping import no_info, step
-from rodjax.interactions import contact as contact_of
 from rodjax.interactions import contact_forces as forces_of
 from rodjax.interactions import contact_laws as laws
+from rodjax.interactions import sites as sites_module
 from rodjax.interactions.contact import Contact
 from rodjax.interactions.loads import MorisonDrag
 from rodjax.rods.builders import straight_rod
@@ -90,15 +90,15 @@ def test_vertices_lie_on_the_curve_through_the_nodes():
     for elements in counts:
         rod = straight_rod(1.0, elements, section)
         contact = Contact(LAWS["damped"], segments=50, cutoff=0.1, points_per_segment=2)
-        where = contact_of.sites_of(contact, rod)
-        vertices = contact_of.interpolate(where, jnp.asarray(helix(np.asarray(rod.arc_length))))
+        where = sites_module.sites_of(contact, rod)
+        vertices = sites_module.interpolate(where, jnp.asarray(helix(np.asarray(rod.arc_length))))
         exact = helix(np.linspace(0, 1, 51))
         errors.append(np.max(np.linalg.norm(np.asarray(vertices) - exact, axis=1)))
         np.testing.assert_allclose(jnp.sum(where.weight, 1), 1.0, atol=1e-13)
         # forces are spread with the same total and moment
         force = jnp.asarray(np.random.default_rng(0).normal(size=vertices.shape))
         nodes = helix(np.asarray(rod.arc_length))
-        nodal = np.asarray(contact_of.spread(where, force, elements + 1))
+        nodal = np.asarray(sites_module.spread(where, force, elements + 1))
         np.testing.assert_allclose(nodal.sum(0), force.sum(0), atol=1e-12)
         moment = np.cross(vertices, force).sum(0)
         np.testing.assert_allclose(np.cross(nodes, nodal).sum(0), moment, atol=1e-12)

@@ -46,6 +46,7 @@ def test_a_field_that_varies_pulls_towards_where_it_is_stronger():
     np.testing.assert_allclose(wrench[:, jnp.asarray([0, 1, 3, 4, 5])], 0.0, atol=1e-15)
 
 
+@pytest.mark.slow
 def test_a_field_that_is_switched_on_does_work():
     rising = rx.Smooth([0.0, 0.2], [0.0, 1.0])
     magnet = rx.HardMagnetic(np.tile([[0.0, 0.0, 2.0]], (4, 1)), (1.0, 0, 0), amplitude=rising)

@@ -33,6 +33,7 @@ def run():
     return scene, rx.rollout(scene, rx.start(scene), STEPS)
 
 
+@pytest.mark.slow
 def test_what_is_driven_against_its_clamp_yields_and_is_booked(run):
     scene, whole = run
     assert np.max(np.abs(whole.final.memory.material)) > 0.01
@@ -89,6 +90,7 @@ def test_rods_of_other_materials_in_one_scene_move_as_by_themselves(run):
     np.testing.assert_allclose(lost, ledger(scene, whole).material_loss, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_single_precision_takes_all_of_it():
     rod = driven(material=rx.KelvinVoigt(0.01, stretch=0.01), compliance=(0.0, 0.0, 1e-2))
     rod = dataclasses.replace(rod, torque_per_tension=jnp.full((N,), 0.1))

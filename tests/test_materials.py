@@ -93,6 +93,7 @@ def test_a_straight_cable_twists_and_lengthens_as_theory_says(extensible):
     np.testing.assert_allclose(torque, torsion * twist + b * tension, rtol=1e-9)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("extensible", [False, True])
 def test_waves_of_twist_and_stretch_in_a_cable(extensible):
     """Coupled frequencies by the dispersion of the chain, and a motion from rates that disagree."""
@@ -220,6 +221,7 @@ def waving():
     return scene, rx.adaptive_rollout(scene, rx.start(scene), 0.4)
 
 
+@pytest.mark.slow
 def test_the_work_of_actuation_is_booked(waving):
     scene, run = waving
     assert np.min(np.abs(np.asarray(run.times) - 0.113)) < 1e-12

@@ -76,6 +76,7 @@ def struck():
     return scene, rx.start(scene, velocity=2.0 * shape)
 
 
+@pytest.mark.slow
 def test_what_a_kink_costs_is_booked(struck):
     scene, state = struck
     booked = ledger(scene, rx.rollout(scene, state, np.linspace(0.005, 1.0, 200)))

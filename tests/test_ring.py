@@ -54,6 +54,7 @@ def test_refusals():
         rx.ring(1.0, 12, SECTION, normal=(0.0, 0.0, 0.0))
 
 
+@pytest.mark.slow
 def test_it_rests_and_moves_as_one_piece():
     """Twisted below the threshold it stays: no force of the weld drives it, and Lk is kept."""
     rod = rx.ring(1.0, 12, SECTION, turns=1.0)

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from helpers import DIAMETER, LAWS, PAIR, hairpin
 
-from rodjax.interactions import contact as contact_of
 from rodjax.interactions import contact_forces as forces_of
 from rodjax.interactions import screening
+from rodjax.interactions import sites as sites_module
 from rodjax.interactions.contact import Contact
 from rodjax.rods.builders import straight_rod
 from rodjax.rods.section import circular_section
@@ -33,7 +33,7 @@ def test_search_misses_no_pair_that_acts(bent):
     """Every pair of points with a force, found by brute force, is in the list."""
     scene, state, near = bent
     where, found = near
-    vertices = np.asarray(contact_of.interpolate(where, state.position))
+    vertices = np.asarray(sites_module.interpolate(where, state.position))
     part = (np.arange(2) + 0.5) / 2
     points = vertices[:-1, None] + part[:, None] * (vertices[1:, None] - vertices[:-1, None])
     chord = vertices[1:] - vertices[:-1]

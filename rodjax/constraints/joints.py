@@ -103,7 +103,11 @@ def _check_points(first: Point, second: Point) -> None:
 
 
 class Weld(AbstractJoint):
-    """Both points and frames stay together: a rod's last node welded to its first makes a ring."""
+    """Both points and frames stay together: a rod's last node welded to its first makes a ring.
+
+    Attributes:
+        first, second: the points, of one rod or of two.
+    """
 
     first: Point
     second: Point
@@ -120,7 +124,11 @@ class Weld(AbstractJoint):
 
 
 class Ball(AbstractJoint):
-    """Both points stay together, and their frames turn freely."""
+    """Both points stay together, and their frames turn freely.
+
+    Attributes:
+        first, second: the points, of one rod or of two.
+    """
 
     first: Point
     second: Point
@@ -140,6 +148,7 @@ class Hinge(AbstractJoint):
     """Both points stay together, and their frames turn against each other about an axis alone.
 
     Attributes:
+        first, second: the points, of one rod or of two.
         axis: in the first point's body frame, of any length.
     """
 
@@ -166,6 +175,7 @@ class Slide(AbstractJoint):
     """The second point slides along an axis through the first, and does not turn.
 
     Attributes:
+        first, second: the points, of one rod or of two.
         axis: in the first point's body frame, of any length.
     """
 

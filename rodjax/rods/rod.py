@@ -14,7 +14,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Shaped
 
 from rodjax.inputs.argument_types import AnyArray
 from rodjax.inputs.brief import named
@@ -261,7 +261,7 @@ class Rod(eqx.Module):
             return values
         return values[np.delete(np.arange(self.elements), list(self.breaks))]
 
-    def at_breaks(self, values: Float[Array, "n *k"], row) -> Float[Array, "n *k"]:
+    def at_breaks(self, values: Shaped[Array, "n *k"], row) -> Shaped[Array, "n *k"]:
         """Values of the elements with this row where there is none."""
         if not self.breaks:
             return values

@@ -2,7 +2,7 @@
 
 import dataclasses
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, no_type_check
 
 import equinox as eqx
 import jax
@@ -79,6 +79,7 @@ class Scene(eqx.Module):
     inner_ends: tuple[AbstractEnd, ...] = eqx.field(converter=_with_arrays, default=())
     joints: tuple[AbstractJoint, ...] = eqx.field(converter=_with_arrays, default=())
 
+    @no_type_check  # what is given wrongly is told by the checks
     def __init__(
         self,
         rod: Rod | None = None,
