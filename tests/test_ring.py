@@ -32,6 +32,7 @@ def test_it_closes_unstretched_with_its_linking_number(turns):
     assert along @ [1.0, 2.0, -0.5] > 0
 
 
+@pytest.mark.slow
 def test_its_energy():
     """2 pi^2 A / L of bending and (2 pi Lk)^2 C/(2 L) of torsion, to second order."""
     errors = []

@@ -51,6 +51,7 @@ def test_each_moves_as_by_itself(system, alone):
     np.testing.assert_array_equal(run.infos.iterations, most)
 
 
+@pytest.mark.slow
 def test_each_rests_as_by_itself(system, alone):
     state, info = rx.equilibrium(system, rx.start(system))
     unstable = 0
@@ -61,6 +62,7 @@ def test_each_rests_as_by_itself(system, alone):
     assert info.unstable == unstable
 
 
+@pytest.mark.slow
 def test_reactions_carry_the_weight_of_each(system, rods):
     """At rest: of the ends of a rod together, in the order of `Scene.holds`."""
     state, _ = rx.equilibrium(system, rx.start(system))
