@@ -1,7 +1,8 @@
 """Differentiable dynamics of slender rods in self-contact.
 
-Data flows one way: a `Rod` with ends, loads and contact makes a `Scene`; `start` gives a consistent
-`State`; `step`, `rollout`, `adaptive_rollout` advance it and `equilibrium` rests it; the modules
+Data flows one way: a `Rod` with ends, loads and contact makes a `Scene`; `simulate` gives its
+motion, of which the parts are there as well: `start` gives a consistent `State`; `step`, `rollout`,
+`adaptive_rollout` advance it, and `equilibrium` rests it; the modules
 `energy`, `measures` and `topology` measure it, `storage` keeps it in files, `plot` shows it, in the
 names of `units`; `least_squares` and `minimize` fit what was given to what was observed, over
 `windows` where a motion forks; `sweep` maps a function over many scenes. `rotations` holds the
@@ -37,6 +38,7 @@ from rodjax.dynamics.adaptive import adaptive_rollout as adaptive_rollout
 from rodjax.dynamics.consistency import start as start
 from rodjax.dynamics.fixed_rollout import rollout as rollout
 from rodjax.dynamics.run import Run as Run
+from rodjax.dynamics.simulation import simulate as simulate
 from rodjax.dynamics.step_control import StepControl as StepControl
 from rodjax.dynamics.stepping import step as step
 from rodjax.equations.generalized_alpha import GeneralizedAlpha as GeneralizedAlpha
@@ -264,6 +266,7 @@ __all__ = [
     "rotations",
     "semidiscrete",
     "several_starts",
+    "simulate",
     "stability",
     "start",
     "states_of",

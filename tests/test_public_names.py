@@ -82,8 +82,8 @@ def test_modules_are_found_where_they_were():
 
 
 def test_unknown_name_is_refused_as_in_any_module():
-    with pytest.raises(AttributeError, match="has no attribute 'simulate'"):
-        _ = rx.simulate
+    with pytest.raises(AttributeError, match="has no attribute 'integrate'"):
+        _ = rx.integrate
     assert not hasattr(rx, "step_equation")
 
 

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array
+from jaxtyping import Array, Float
 
 from rodjax.dynamics import passages
 from rodjax.dynamics.attempts import Chunk, attempt_steps
@@ -32,6 +32,7 @@ from rodjax.dynamics.stepping import (
 from rodjax.dynamics.unexcited import warn_if_unexcited
 from rodjax.equations import overlap
 from rodjax.equations.generalized_alpha import GeneralizedAlpha
+from rodjax.inputs.argument_types import AnyArray
 from rodjax.inputs.validation import all_known, as_integer, check_instance, check_integer
 from rodjax.numerics import results
 from rodjax.numerics.pace import Pace
@@ -139,6 +140,8 @@ def adaptive_rollout(
     max_steps: int = 100_000,
     chunk: int = 50,
     on_chunk: Callable[[Run], None] | None = None,
+    stops: Float[AnyArray, " s"] | None = None,
+    progress: Callable[[float, int], None] | None = None,
     throw: bool = True,
 ) -> Run:
     """Run to `end_time` with steps chosen by the local error; every accepted step is saved.
@@ -168,6 +171,8 @@ def adaptive_rollout(
         max_steps: accepted steps after which the run fails by MAX_STEPS.
         chunk: accepted steps between two returns to Python.
         on_chunk: called with every part.
+        stops: increasing times on which steps end as well, such as those of samples [s].
+        progress: called about once a second with the time reached [s] and the steps accepted.
         throw: raise `SimulationError` if the run fails; else its code is in `Run.result`.
 
     Raises:
@@ -204,9 +209,13 @@ def adaptive_rollout(
     end, size = jnp.asarray(end_time, dtype), min(chunk, max_steps)
     held = overlap.distances_held(scene)
 
+    ends = None if stops is None else np.asarray(stops, dtype)
+
     def some(now: _Progress, passes) -> Chunk:
         room = jnp.asarray(size - now.count, jnp.int32)
         arguments = (end, method, tolerances, held, room, passes, size)
+        if ends is not None:
+            arguments = (*arguments, _next_of(ends, now.state.time, size))
         return attempt_steps(scene, now.state, now.control, *arguments)
 
     now, pace = _Progress.of(state, memory), Pace(size)
@@ -215,6 +224,8 @@ def adaptive_rollout(
             now = now.entering(scene)
             while not (now.done or now.switching or now.count >= size):
                 now = now.longer(pace.call(partial(some, now)))
+                if progress is not None:
+                    progress(float(now.state.time), now.accepted + now.count)
             now = now.closed(scene, max_steps)
             if on_chunk is not None and (now.chunk_kept or now.code is not Result.SUCCESS):
                 on_chunk(now.parts[-1])
@@ -236,6 +247,12 @@ def adaptive_rollout(
     warn_if_hopeless(run)
     warn_if_unexcited(scene, run)
     return run
+
+
+def _next_of(stops: np.ndarray, now: Array, size: int) -> np.ndarray:
+    """The next stops, more than steps of a chunk can reach: one program whatever their number."""
+    coming = stops[np.searchsorted(stops, np.asarray(now), side="right") :][:size]
+    return np.concatenate([coming, np.full(size - len(coming), np.inf, stops.dtype)])
 
 
 def compile_adaptive_rollout(

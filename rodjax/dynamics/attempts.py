@@ -39,11 +39,18 @@ class Chunk(NamedTuple):
 
 
 @compiled
-def attempt_steps(scene, state, control, end_time, method, tolerances, held, room, passes, size):
-    """Attempts at steps: at most `passes`, until `room` are accepted, in buffers of `size`."""
+def attempt_steps(
+    scene, state, control, end_time, method, tolerances, held, room, passes, size, stops=None
+):
+    """Attempts at steps: at most `passes`, until `room` are accepted, in buffers of `size`.
+
+    They end on `stops` as well, if there are any, of which those to come are enough.
+    """
     empty = lambda leaf: jnp.zeros((size, *leaf.shape), leaf.dtype)
     switches = jnp.asarray(scene.switch_times, end_time.dtype)
     marks = jnp.concatenate([switches, scene.corners.astype(end_time.dtype), end_time[None]])
+    if stops is not None:
+        marks = jnp.concatenate([marks, stops])
 
     def attempt(loop: Chunk) -> Chunk:
         now = loop.state.time

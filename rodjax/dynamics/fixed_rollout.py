@@ -1,7 +1,7 @@
 """Rollouts over given times, by `lax.scan`: what gradients pass through."""
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 
 import equinox as eqx
@@ -43,6 +43,7 @@ def rollout(
     method: GeneralizedAlpha | None = None,
     *,
     save_every: int = 1,
+    progress: Callable[[float, int], None] | None = None,
     throw: bool = True,
 ) -> Run:
     """Step from one given time to the next by `lax.scan`, saving by step index.
@@ -52,6 +53,8 @@ def rollout(
             end's constraint changes must be among them (within 1e-6 of a step; it is then made
             exact).
         save_every: store every so many steps; the number of steps must be a multiple.
+        progress: called about once a second with the time reached [s] and the steps made (outside
+            traced code).
         throw: raise `SimulationError` if a step fails. Either way the motion up to the failure
             is kept: the error's `.partial` is the run up to it; without the error the states
             after it are not numbers, nor is the derivative of what is built on them. A passage
@@ -95,7 +98,7 @@ def rollout(
         message = "a step failed; call with throw=False and look at `result`"
         return eqx.error_if(run, run.result != Result.SUCCESS, message) if throw else run
     warn_of_corners(scene, float(state.time), np.asarray(times))
-    run = run_given_steps(scene, state, np.asarray(times), method, save_every)
+    run = run_given_steps(scene, state, np.asarray(times), method, save_every, progress)
     if throw and int(run.result) != Result.SUCCESS:
         told = np.asarray(run.infos.result)
         good = int(np.argmax(told != 0)) if np.any(told) else len(told)

@@ -1,6 +1,7 @@
 """Given steps outside traced code: one compiled loop for any number of them, heard by Ctrl-C."""
 
 import dataclasses
+from collections.abc import Callable
 from typing import NamedTuple
 
 import jax
@@ -42,9 +43,17 @@ class _Done(NamedTuple):
 
 
 def run_given_steps(
-    scene: Scene, state: State, times: np.ndarray, method: GeneralizedAlpha, save_every: int
+    scene: Scene,
+    state: State,
+    times: np.ndarray,
+    method: GeneralizedAlpha,
+    save_every: int,
+    progress: Callable[[float, int], None] | None = None,
 ) -> Run:
     """The run through given times; what comes after a failure is not a number.
+
+    Args:
+        progress: called about once a second with the time reached and the steps made.
 
     Raises:
         Interrupted: by Ctrl-C, with the states saved until then.
@@ -57,6 +66,8 @@ def run_given_steps(
     try:
         while done.code is Result.SUCCESS and done.steps < len(times):
             done = _advance(scene, done, times, method, save_every, pace, held)
+            if progress is not None:
+                progress(float(done.state.time), done.steps)
     except KeyboardInterrupt as error:
         states, infos = done.so_far(state)
         told = save_every * (len(states.time) - 1)

@@ -10,6 +10,7 @@ from jaxtyping import Array, Float, Int
 
 from rodjax.dynamics.step_control import Control
 from rodjax.dynamics.stepping import StepInfo, no_info
+from rodjax.inputs.argument_types import AnyArray
 from rodjax.inputs.brief import brief
 from rodjax.inputs.validation import all_known
 from rodjax.numerics.results import Result, as_code
@@ -30,6 +31,8 @@ class Run(eqx.Module):
         rejected: steps that an adaptive run took back.
         wasted_iterations: Newton iterations of those.
         control: memory of the step control.
+        steps_before: accepted steps before each saved state, where they were thinned by time; None
+            where every one is saved, or every so many.
     """
 
     states: State
@@ -38,6 +41,7 @@ class Run(eqx.Module):
     rejected: Int[Array, ""]
     wasted_iterations: Int[Array, ""]
     control: Control | None = None
+    steps_before: Int[AnyArray, " k"] | None = None
 
     def __repr__(self) -> str:
         known = isinstance(self.result, jax.Array | np.ndarray) and np.ndim(self.result) == 0
@@ -54,6 +58,14 @@ class Run(eqx.Module):
     def times(self) -> Float[Array, " k"]:
         """Times of the saved states."""
         return self.states.time
+
+    @property
+    def step_counts(self) -> Int[AnyArray, " k"]:
+        """Accepted steps before each saved state."""
+        if self.steps_before is not None:
+            return self.steps_before
+        steps, intervals = self.infos.result.shape[0], self.states.time.shape[0] - 1
+        return np.arange(intervals + 1) * (steps // max(intervals, 1))
 
     @property
     def final(self) -> State:
@@ -136,25 +148,46 @@ def continued(run: Run, rest: Run) -> Run:
     resumed run makes anew. Counts of rejected steps are those of both.
 
     Raises:
-        ValueError: `rest` does not begin from a state of `run`, or not every step was saved.
+        ValueError: `rest` does not begin from a state of `run`.
     """
     first = jax.tree.map(lambda leaf: leaf[0], rest.states)
     at = np.flatnonzero(np.asarray(run.times) == np.asarray(first.time))
     if not at.size or not _equal(run.state(int(at[-1])), first):
         raise ValueError("rest: it does not begin from a state of run, as `resume` begins")
     count = int(at[-1])
-    if run.infos.result.shape[0] != run.times.shape[0] - 1:
-        raise ValueError("run: only of a run of which every step was saved")
+    if run.times.shape[0] < 2:
+        return rest
+    before, after = np.asarray(run.step_counts), np.asarray(rest.step_counts)
+    steps = int(before[count])
+    counts = np.concatenate([before[:count], steps + after]).astype(np.int32)
     cut = lambda tree, size: jax.tree.map(lambda leaf: leaf[:size], tree)
     join = lambda a, b: jnp.concatenate([a, b])
+    infos = jax.tree.map(join, cut(run.infos, steps), rest.infos)
     return Run(
         jax.tree.map(join, cut(run.states, count), rest.states),
-        jax.tree.map(join, cut(run.infos, count), rest.infos),
+        infos,
         rest.result,
         run.rejected + rest.rejected,
         run.wasted_iterations + rest.wasted_iterations,
         rest.control,
+        None if np.array_equal(counts, np.arange(len(counts))) else counts,
     )
+
+
+def thinned(run: Run, times: Float[np.ndarray, " t"]) -> Run:
+    """The run with the states of these times alone, the first and the last; all steps are told.
+
+    One that is resumed goes on from its last state: that before its last steps were shortened may
+    not be there.
+    """
+    saved, counts = np.asarray(run.times), np.asarray(run.step_counts, np.int32)
+    keep = np.isin(saved, np.asarray(times, saved.dtype))
+    keep[[0, -1]] = True
+    control = run.control
+    if control is not None:
+        control = control._replace(landing=jnp.minimum(control.landing, 0))
+    states = jax.tree.map(lambda leaf: jax.device_put(np.asarray(leaf)[keep]), run.states)
+    return dataclasses.replace(run, states=states, control=control, steps_before=counts[keep])
 
 
 def _equal(a: State, b: State) -> bool:

@@ -102,6 +102,10 @@ class Recorder:
         self.path, self._parts = path, parts
         self._stream, self._last = stream, _last_whole(stream, path)
         run = parts["run"]
+        if run.steps_before is not None:
+            raise StorageError(
+                "path: the run was thinned; a recording keeps the state of every step"
+            )
         self._after = float(run.resume_state.time)
         self._counts = run.rejected, run.wasted_iterations
         self._code: Result | None = None

@@ -180,9 +180,15 @@ def check_run(scene: Scene, run: Run) -> None:
     for name, value in infos._asdict().items():
         if np.shape(value) != steps or len(steps) != 1:
             raise StorageError(f"run.infos.{name}: has shape {np.shape(value)}, expected {steps}")
+    intervals, before = count[0] - 1, run.steps_before
+    if before is not None:
+        told = np.asarray(before)
+        if told.shape != count or np.any(np.diff(told) < 0) or told[-1] != steps[0] or told[0]:
+            raise StorageError(
+                f"run.steps_before: does not tell of {intervals + 1} states of {steps[0]} steps"
+            )
     # every step, or every so many, is saved
-    intervals = count[0] - 1
-    if steps[0] % max(intervals, 1) or (not intervals and steps[0]):
+    elif steps[0] % max(intervals, 1) or (not intervals and steps[0]):
         raise StorageError(f"run: has {intervals + 1} states for {steps[0]} steps")
     if np.shape(run.result) or int(run.result) not in set(Result):
         raise StorageError(f"run.result: is no code of a run: {run.result}")

@@ -128,6 +128,7 @@ _TEMPLATES = {
     "Run.result": "1",
     "Run.rejected": "1",
     "Run.wasted_iterations": "1",
+    "Run.steps_before": "1",
     "StepInfo.result": "1",
     "StepInfo.iterations": "1",
     "StepInfo.error_position": "{length}",

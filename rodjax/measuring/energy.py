@@ -279,11 +279,9 @@ def _interval(carry, after: State, scene: Scene):
 
 def _booked(xp, run: Run, gains, energy) -> Ledger:
     """The ledger of works and losses of the intervals and energies; `xp` is numpy or jax's."""
-    intervals = gains.shape[0] - 1
     steps = run.infos.projection_loss
-    lost = steps.reshape(intervals, steps.shape[0] // max(intervals, 1)).sum(1)
-    lost = xp.concatenate([xp.zeros((1,), lost.dtype), lost])
-    total = xp.cumsum(xp.concatenate([gains, lost[:, None]], 1), 0)
+    lost = xp.cumsum(xp.concatenate([xp.zeros((1,), steps.dtype), steps]))[run.step_counts]
+    total = xp.concatenate([xp.cumsum(gains, 0), lost[:, None]], 1)
     total = total - total[:1]
     drive_work, load_work, contact_work, drag, damping, contact_loss, *own, projection = total.T
     actuation, material_loss = own if own else (None, None)
