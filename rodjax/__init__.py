@@ -92,6 +92,7 @@ from rodjax.rods.elastic_plastic import ElasticPlastic as ElasticPlastic
 from rodjax.rods.imperfection import imperfect as imperfect
 from rodjax.rods.kelvin_voigt import KelvinVoigt as KelvinVoigt
 from rodjax.rods.linear_material import LinearMaterial as LinearMaterial
+from rodjax.rods.lump import Lump as Lump
 from rodjax.rods.material import AbstractMaterial as AbstractMaterial
 from rodjax.rods.material import ElementMotion as ElementMotion
 from rodjax.rods.regridding import regrid as regrid
@@ -209,6 +210,7 @@ __all__ = [
     "LinearDrag",
     "LinearMaterial",
     "LogNormalPrior",
+    "Lump",
     "ModelWarning",
     "MorisonDrag",
     "NormalPrior",

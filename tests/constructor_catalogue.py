@@ -76,7 +76,7 @@ CATALOGUE = {
         rx.curved_rod,
         {
             "curve": (circle, original(circle)),
-            "length": (1.0, lambda v: positive(v) and (None if np.max(v) > 1e3 else True)),
+            "length": (1.0, lambda v: positive(v) and (None if np.asarray(v) > 1e3 else True)),
             "elements": (N, count(2, 1_000_000)),
             "section": (SECTION, original(SECTION)),
             "stress_free": (True, flag),
@@ -163,6 +163,15 @@ CATALOGUE = {
     "Support": (
         lambda **k: rx.Scene(ROD, rx.Clamped(), supports=(rx.Support(**k),)),
         {"node": (3, inner_node), "end": (rx.Pinned(), instance(rx.AbstractEnd))},
+    ),
+    "Lump": (
+        lambda **k: rx.Scene(ROD, rx.Clamped(), lumps=(rx.Lump(-1, **k),)),
+        {
+            "mass": (0.5, positive),
+            "inertia": (None, lambda v: True if v is None else None),
+            "offset": (None, optional(array_of((3,)))),
+            "volume": (None, optional(not_negative)),
+        },
     ),
     "Constant": (
         rx.Constant,

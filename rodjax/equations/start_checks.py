@@ -122,6 +122,8 @@ def check_spin(scene: Scene, state: State) -> None:
         return
     if rod.rotary_inertia is not None and np.any(np.asarray(rod.rotary_inertia[:, 2]) > 0):
         return
+    if any(lump.inertia is not None for lump in rod.lumps):
+        return
     both = projectors(scene, state.time)
     if not known(both) or np.any(np.asarray(both)[:, 5, 5] > 1e-6):
         return

@@ -28,6 +28,7 @@ from rodjax.inputs.validation import (
 from rodjax.interactions.load import AbstractLoad
 from rodjax.interactions.roles import Role
 from rodjax.numerics import rotations
+from rodjax.rods.lumped import lumped
 from rodjax.rods.rod import Rod
 
 
@@ -52,12 +53,12 @@ def _need(rod: Rod, name: str, load: str) -> Float[Array, " n"]:
 
 
 class Gravity(AbstractLoad):
-    """Weight less buoyancy, (m - rho_f A_c) g per length.
+    """Weight less buoyancy, (m - rho_f A_c) g per length; of a lump (m - rho_f V) g.
 
     Attributes:
         acceleration: g, three inertial components [m/s^2]; downwards along z (0, 0, -9.81).
         fluid_density: rho_f of the fluid around [kg/m^3]; None for no buoyancy. Needs the rod's
-            `area`.
+            `area`, and of lumps takes the `volume`.
     """
 
     acceleration: Float[Array, "3"] = eqx.field(converter=as_float)
@@ -83,10 +84,13 @@ class Gravity(AbstractLoad):
         return Role.STORED
 
     def energy(self, rod, motion):
-        return -jnp.sum(self.weight(rod) * motion.position)
+        energy = -jnp.sum(self.weight(rod) * motion.position)
+        if rod.lumps:
+            energy = energy - jnp.sum(self._of_lumps(rod) * lumped(rod).centre(motion))
+        return energy
 
     def weight(self, rod: Rod) -> Float[Array, "nodes 3"]:
-        """Weight of the nodes in the fluid [N]."""
+        """Weight of the nodes in the fluid, without lumps [N]."""
         density = _need(rod, "mass", "Gravity")
         if self.fluid_density is not None:
             area = _need(rod, "area", "Gravity with buoyancy")
@@ -95,7 +99,20 @@ class Gravity(AbstractLoad):
 
     def wrench(self, rod, motion):
         weight = self.weight(rod)
-        return jnp.concatenate([weight, jnp.zeros_like(weight)], 1)
+        wrench = jnp.concatenate([weight, jnp.zeros_like(weight)], 1)
+        if rod.lumps:
+            lumps = lumped(rod)
+            own = lumps.about_node(motion, self._of_lumps(rod))
+            wrench = wrench + lumps.at_nodes(own, wrench)
+        return wrench
+
+    def _of_lumps(self, rod: Rod) -> Float[Array, "k 3"]:
+        """Weight of the lumps in the fluid [N]."""
+        lumps = lumped(rod)
+        mass = lumps.mass
+        if self.fluid_density is not None and lumps.volume is not None:
+            mass = mass - self.fluid_density * lumps.volume
+        return mass[:, None] * self.acceleration[None]
 
 
 class MorisonDrag(AbstractLoad):

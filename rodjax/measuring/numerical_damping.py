@@ -6,6 +6,7 @@ from jaxtyping import Float
 
 from rodjax.dynamics.run import Run
 from rodjax.equations.generalized_alpha import coefficients
+from rodjax.rods import lumped
 from rodjax.rods.inertia import node_inertia
 from rodjax.scenes.scene import Scene
 
@@ -40,6 +41,8 @@ def estimate(scene: Scene, run: Run, radius: float) -> tuple[float, float]:
     linear = np.repeat(np.asarray(mass)[:, None], 3, 1)
     angular = np.zeros_like(linear) if rotary is None else np.asarray(rotary)
     weight = np.concatenate([linear, angular], 1)
+    if scene.rod.lumps:
+        weight = weight + np.asarray(lumped.matrix_diagonal(scene.rod))
 
     def energy(rates):
         change = rates - np.mean(rates, 0)

@@ -109,6 +109,8 @@ def check_scene(scene: Scene) -> None:
         )
     if rod.mass is None or rod.rotary_inertia is None:
         raise ValueError("rotary_inertia, mass: the paper's scheme needs both; Eqs. (8) and (9)")
+    if rod.lumps:
+        raise ValueError("lumps: the paper's scheme has rods alone; use rodjax.rollout")
     if scene.supports:
         raise ValueError("supports: the paper's scheme holds a rod at its ends only")
     for load in scene.loads:

@@ -161,6 +161,8 @@ def _check(scene: Scene) -> None:
             )
     if scene.contact is not None:
         raise ValueError("contact: not part of the differential equation; use rodjax.rollout")
+    if rod.lumps:
+        raise ValueError("lumps: not part of the differential equation; use rodjax.rollout")
     if scene.supports:
         raise ValueError("supports: not part of the differential equation; use rodjax.rollout")
     if scene.remembers:

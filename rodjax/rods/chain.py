@@ -6,6 +6,7 @@ internal force is zero. So a system of rods is one rod to all that is local to n
 and the same block tridiagonal matrix solves it. See `Rod.breaks`.
 """
 
+import dataclasses
 import functools
 from collections.abc import Sequence
 
@@ -13,6 +14,7 @@ import jax
 import jax.numpy as jnp
 
 from rodjax.inputs.validation import check_instance
+from rodjax.rods.lump import Lump
 from rodjax.rods.rod import Part, Rod, parts_of
 from rodjax.rods.shared_out import (
     ActuationsOfRods,
@@ -87,7 +89,17 @@ def chain(rods: Sequence[Rod]) -> Rod:
         material=_materials(rods),
         actuation=_actuations(rods),
         breaks=tuple(breaks[:-1]),
+        lumps=_lumps(rods),
     )
+
+
+def _lumps(rods: Sequence[Rod]) -> tuple[Lump, ...]:
+    """Those of all rods, each at the rod's place among all."""
+    found, before = [], 0
+    for rod in rods:
+        own = (dataclasses.replace(lump, rod=lump.rod + before) for lump in rod.lumps)
+        found, before = [*found, *own], before + len(rod.parts)
+    return tuple(found)
 
 
 def _counts(rods: Sequence[Rod]) -> list[int]:
@@ -148,7 +160,7 @@ def rods_of(rod: Rod) -> tuple[Rod, ...]:
     materials = own_materials(rod.material, len(rod.parts))
     actuations = own_actuations(rod.actuation, len(rod.parts))
 
-    def one(part: Part, material, actuation) -> Rod:
+    def one(index: int, part: Part, material, actuation) -> Rod:
         of_nodes = lambda value: value[part.nodes]
         of_elements = lambda value: None if value is None else value[part.elements]
         return Rod(
@@ -166,9 +178,12 @@ def rods_of(rod: Rod) -> tuple[Rod, ...]:
             torque_per_tension=of_elements(rod.torque_per_tension),
             material=material,
             actuation=actuation,
+            lumps=tuple(
+                dataclasses.replace(lump, rod=0) for lump in rod.lumps if lump.rod == index
+            ),
         )
 
-    return tuple(map(one, rod.parts, materials, actuations))
+    return tuple(map(one, range(len(rod.parts)), rod.parts, materials, actuations))
 
 
 def states_of(state: State) -> tuple[State, ...]:

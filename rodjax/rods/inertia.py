@@ -1,14 +1,15 @@
-"""Inertia of the nodes: half of the mass and rotary inertia of either neighbouring element."""
+"""Inertia of the nodes: half of that of either neighbouring element, lumps, and added mass."""
 
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from rodjax.rods import lumped
 from rodjax.rods.state import NodeMotion
 
 
 def node_inertia(rod) -> tuple[Float[Array, " nodes"], Float[Array, "nodes 3"] | None]:
-    """Mass [kg] and principal rotary inertia [kg m^2] of the nodes."""
+    """Mass [kg] and principal rotary inertia [kg m^2] of the nodes, without lumps."""
     rotary = None if rod.rotary_inertia is None else rod.to_nodes(rod.rotary_inertia)
     return rod.to_nodes(rod.mass), rotary
 
@@ -24,10 +25,14 @@ def inertial_wrench(
         if added is not None:
             linear = linear + jnp.einsum("nij,nj->ni", added, acceleration[:, :3])
     if rotary is None:
-        return jnp.concatenate([linear, jnp.zeros_like(linear)], 1)
-    spin = motion.angular_velocity
-    angular = rotary * acceleration[:, 3:] + jnp.cross(spin, rotary * spin)
-    return jnp.concatenate([linear, angular], 1)
+        wrench = jnp.concatenate([linear, jnp.zeros_like(linear)], 1)
+    else:
+        spin = motion.angular_velocity
+        angular = rotary * acceleration[:, 3:] + jnp.cross(spin, rotary * spin)
+        wrench = jnp.concatenate([linear, angular], 1)
+    if scene.rod.lumps:
+        wrench = wrench + lumped.inertial_wrench(scene.rod, motion, acceleration)
+    return wrench
 
 
 def kinetic_energy(scene, motion: NodeMotion) -> Float[Array, ""]:
@@ -42,6 +47,8 @@ def kinetic_energy(scene, motion: NodeMotion) -> Float[Array, ""]:
         added = load.added_mass(scene.rod, motion)
         if added is not None:
             energy = energy + 0.5 * jnp.einsum("ni,nij,nj", motion.velocity, added, motion.velocity)
+    if scene.rod.lumps:
+        energy = energy + lumped.kinetic_energy(scene.rod, motion)
     return energy
 
 

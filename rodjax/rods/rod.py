@@ -8,7 +8,7 @@ at a node is exact. Several rods may stand on one axis of nodes, see `chain`.
 import dataclasses
 import itertools
 import warnings
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, no_type_check
 
 import equinox as eqx
 import jax
@@ -33,6 +33,7 @@ from rodjax.numerics.results import ModelWarning
 from rodjax.rods.framing import (
     of_one_sign,
 )
+from rodjax.rods.lump import Lump
 from rodjax.rods.material import AbstractMaterial, stiffness_matrix
 
 
@@ -101,6 +102,8 @@ class Rod(eqx.Module):
         actuation: schedule of what is added to kappa0, three components or (n, 3) [1/m]; or None.
         breaks: elements that are none, between the last node of a rod and the first of the next
             where several are laid end to end (`chain`); their length and stiffness are zero.
+        lumps: masses and rigid bodies that are fixed to its nodes, a tuple of `Lump`; a scene is
+            given them by themselves, `Scene(rod, lumps=...)`.
     """
 
     position: Float[Array, "nodes 3"] = eqx.field(converter=as_float)
@@ -120,6 +123,7 @@ class Rod(eqx.Module):
     material: AbstractMaterial | None = eqx.field(converter=as_traced, default=None)
     actuation: AbstractSchedule | None = None
     breaks: tuple[int, ...] = eqx.field(static=True, default=())
+    lumps: tuple[Lump, ...] = ()
 
     def __check_init__(self):
         check_numbers(length=self.length)
@@ -166,6 +170,7 @@ class Rod(eqx.Module):
                 "rotary_inertia: a rod without mass has none; pass rotary_inertia=None"
             )
         self._check_breaks()
+        self.check_lumps()
         self._check_slender()
         self._check_positive_definite()
         self._check_material()
@@ -222,6 +227,37 @@ class Rod(eqx.Module):
             if index and known(value) and np.any(np.asarray(value)[index] != 0):
                 raise ValueError(f"{name}: must be zero in {self.breaks}, which are no elements")
 
+    def check_lumps(self):
+        """Raise ValueError where a lump is at no node, or the rod cannot carry it."""
+        if not isinstance(self.lumps, tuple):
+            raise ValueError("lumps: give a tuple, for one lump (lump,)")
+        mend = "give a lump such as Lump(-1, 0.5), half a kilogram at the last node"
+        check_instance(Lump, mend, **{f"lumps[{i}]": lump for i, lump in enumerate(self.lumps)})
+        for i, lump in enumerate(self.lumps):
+            name = f"lumps[{i}]"
+            if lump.rod >= len(self.parts):
+                raise ValueError(
+                    f"{name}: rod: the scene's rods are 0 to {len(self.parts) - 1}, got {lump.rod}"
+                )
+            part = self.parts[lump.rod]
+            node, last = lump.place(self.parts), part.last - part.first
+            if not part.first <= node <= part.last:
+                raise ValueError(
+                    f"{name}: node: a rod of {last} elements has the nodes 0 to {last}, or"
+                    f" {-last - 1} to -1, got {lump.node}"
+                )
+            if self.mass is None:
+                raise ValueError(
+                    f"{name}: a rod with mass=None has no inertia; give its section a mass"
+                    " (density), or push by a PointLoad for the weight alone"
+                )
+            if lump.offset is not None and lump.inertia is None and self.rotary_inertia is None:
+                raise ValueError(
+                    f"{name}: inertia: about the line to its offset nothing would have inertia;"
+                    " give the lump its moments, or the rod's section rotary inertia"
+                    " (circular_section(rotary_inertia=True))"
+                )
+
     def _check_slender(self):
         if not (known(self.diameter) and known(self.length)):
             return
@@ -238,6 +274,8 @@ class Rod(eqx.Module):
     def __repr__(self) -> str:
         given = {f.name: getattr(self, f.name) for f in dataclasses.fields(self)}
         del given["position"], given["quaternion"], given["length"], given["breaks"]
+        if not self.lumps:
+            del given["lumps"]
         if known(self.length) and self.length.ndim == 1:
             size = {"elements": self.elements, "length": np.sum(np.asarray(self.length))}
             size |= {"rods": len(self.breaks) + 1} if self.breaks else {}
@@ -268,6 +306,12 @@ class Rod(eqx.Module):
         places = values.at[np.array(self.breaks)]
         # unique, or it could not be transposed
         return places.set(jnp.asarray(row, values.dtype), unique_indices=True)
+
+    @no_type_check  # `check_lumps` tells what they should be
+    def with_lumps(self, lumps: tuple[Lump, ...]) -> "Rod":
+        """The rod with these besides those that it has; unchecked, see `check_lumps`."""
+        where, empty = lambda rod: rod.lumps, lambda part: isinstance(part, tuple) and not part
+        return eqx.tree_at(where, self, (*self.lumps, *lumps), is_leaf=empty)
 
     @property
     def gauge_length(self) -> Float[Array, " n"]:

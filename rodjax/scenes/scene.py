@@ -21,6 +21,7 @@ from rodjax.interactions.load import AbstractLoad
 from rodjax.interactions.self_contact import FoundContact, SelfContact
 from rodjax.rods.chain import rods_of
 from rodjax.rods.constitution import recalled, seen_by_material
+from rodjax.rods.lump import Lump
 from rodjax.rods.rod import Rod
 from rodjax.rods.state import Memory, NodeMotion, State, node_motion
 from rodjax.scenes import probing, scene_checks
@@ -56,7 +57,8 @@ class Scene(eqx.Module):
     Of several rods `Scene(rods=(a, b))` is made, which stand on one axis of nodes (`rods.chain`):
     those of a, then those of b. `first_end` is then at the first rod's s = 0 and `last_end` at the
     last rod's s = L; a tuple of ends has one for each rod. `rods` and `states_of` take a scene and
-    its states apart again.
+    its states apart again. `lumps=`, masses and bodies fixed to nodes, are kept by the rod
+    (`Rod.lumps`).
 
     Attributes:
         rod: the rod, at rest and as it is placed at first; several as one.
@@ -92,10 +94,12 @@ class Scene(eqx.Module):
         joints: tuple[AbstractJoint, ...] = (),
         *,
         rods: Sequence[Rod] | None = None,
+        lumps: tuple[Lump, ...] = (),
     ):
         if rods is not None:
             rod = as_one(rod, rods)
             first_end, last_end, inner_ends = ends_of(len(rods), first_end, last_end)
+        rod = scene_checks.carrying(rod, lumps)
         if isinstance(contact, Contact) and isinstance(rod, Rod):
             contact = contact.fitted(rod)
         given = (rod, first_end, last_end, loads, contact, supports, inner_ends, joints)

@@ -1,7 +1,7 @@
 """What a scene is refused for, when it is made."""
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, no_type_check
 
 import jax
 import numpy as np
@@ -13,6 +13,7 @@ from rodjax.inputs.validation import all_known, check_instance, known
 from rodjax.interactions.contact import Contact
 from rodjax.interactions.load import AbstractLoad
 from rodjax.rods.chain import chain
+from rodjax.rods.lump import Lump
 from rodjax.rods.rod import Rod
 
 if TYPE_CHECKING:
@@ -26,6 +27,20 @@ def as_one(rod: Rod | None, rods: Sequence[Rod]) -> Rod:
     if not isinstance(rods, list | tuple):
         raise ValueError("rods: give a tuple of rods, for one rod (rod,)")
     return chain(rods)
+
+
+@no_type_check  # what is given wrongly is told here
+def carrying(rod: Rod, lumps: tuple[Lump, ...]) -> Rod:
+    """The rod with these lumps besides its own."""
+    if isinstance(lumps, tuple) and not lumps:
+        return rod
+    one = "give one rod, of straight_rod or curved_rod, or several as rods=(one, another)"
+    check_instance(Rod, one, rod=rod)
+    if not isinstance(lumps, tuple):
+        raise ValueError("lumps: give a tuple, for one lump (lump,)")
+    loaded = rod.with_lumps(lumps)
+    loaded.check_lumps()
+    return loaded
 
 
 def ends_of(count: int, first, last) -> tuple[AbstractEnd, AbstractEnd, tuple[AbstractEnd, ...]]:
