@@ -2,13 +2,13 @@
 
 Data flows one way: a `Rod` with ends, loads and contact makes a `Scene`; `simulate` gives its
 motion, of which the parts are there as well: `start` gives a consistent `State`; `step`, `rollout`,
-`adaptive_rollout` advance it, and `equilibrium` rests it; the modules
-`energy`, `measures` and `topology` measure it, `storage` keeps it in files, `plot` shows it, in the
-names of `units`; `least_squares` and `minimize` fit what was given to what was observed, over
-`windows` where a motion forks; `sweep` maps a function over many scenes. `rotations` holds the
-quaternions that all of them speak in; `paper_scheme` and `semidiscrete` solve the same scene in two
-other ways, to check the first by. `jit` compiles a caller's own function as the library compiles
-its own, `keep_compiled` keeps programs for later processes.
+`adaptive_rollout` advance it, and `equilibrium` rests it; the modules `energy`, `measures` and
+`topology` measure it, `storage` keeps it in files, `plot` and `view` show it, in the names of
+`units`; `least_squares` and `minimize` fit what was given to what was observed, over `windows`
+where a motion forks; `sweep` maps a function over many scenes. `rotations` holds the quaternions
+that all of them speak in; `paper_scheme` and `semidiscrete` solve the same scene in two other ways,
+to check the first by. `jit` compiles a caller's own function as the library compiles its own,
+`keep_compiled` keeps programs for later processes.
 
 Double precision is the caller's choice: `jax.config.update("jax_enable_x64", True)`.
 """
@@ -132,6 +132,8 @@ if TYPE_CHECKING:
     from rodjax.reference import paper_scheme as paper_scheme
     from rodjax.reference import semidiscrete as semidiscrete
     from rodjax.rods import topology as topology
+    from rodjax.viewing.view import RunView as RunView
+    from rodjax.viewing.view import view as view
 
 __version__ = "0.1.0"
 
@@ -169,6 +171,8 @@ _FITTING = {
     "Huber": "robust",
     "SoftL1": "robust",
 }
+
+_VIEWING = {"RunView": "view", "view": "view"}
 
 __all__ = [
     "AbstractEnd",
@@ -228,6 +232,7 @@ __all__ = [
     "Rod",
     "Role",
     "Run",
+    "RunView",
     "Scene",
     "Section",
     "SignedDistance",
@@ -279,6 +284,7 @@ __all__ = [
     "topology",
     "units",
     "vibration",
+    "view",
     "windows",
 ]
 
@@ -340,10 +346,11 @@ if not any(type(finder).__qualname__ == _Modules.__qualname__ for finder in sys.
 
 def __getattr__(name: str):
     """What the import of the package leaves out: public modules (HDF5 takes a tenth), and fits."""
-    if name in _FITTING:
-        found = getattr(importlib.import_module(f"{__name__}.fitting.{_FITTING[name]}"), name)
-        globals()[name] = found
-        return found
+    for folder, modules in (("fitting", _FITTING), ("viewing", _VIEWING)):
+        if name in modules:
+            module = importlib.import_module(f"{__name__}.{folder}.{modules[name]}")
+            globals()[name] = found = getattr(module, name)
+            return found
     place = _place(name)
     if place is None:
         raise AttributeError(f"module 'rodjax' has no attribute {name!r}")

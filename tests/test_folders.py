@@ -23,6 +23,7 @@ ORDER = [
     "measuring",
     "fitting",
     "files",
+    "viewing",
     "reference",
 ]
 # siblings that do not know each other

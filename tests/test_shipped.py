@@ -154,6 +154,9 @@ def test_wheel_is_typed_and_holds_the_library_alone(tmp_path):
     tops = {name.partition("/")[0] for name in names}
     version = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["version"]
     assert tops == {"rodjax", f"rodjax-{version}.dist-info"}
-    assert all(name.endswith((".py", "py.typed")) for name in names if name.startswith("rodjax/"))
+    page = {f"rodjax/viewing/page.{kind}" for kind in ("html", "css", "js")}
+    assert page <= set(names)
+    own = {name for name in names if name.startswith("rodjax/")} - page
+    assert all(name.endswith((".py", "py.typed")) for name in own)
     url = next(line for line in metadata.splitlines() if line.startswith("Project-URL: Paper"))
     assert url.split(", ")[1] in (ROOT / "CITATION.cff").read_text()

@@ -21,6 +21,7 @@ from rodjax.inputs.validation import (
     check_shape,
     known,
 )
+from rodjax.interactions import surfaces
 
 
 class AbstractShape(eqx.Module):
@@ -39,6 +40,16 @@ class AbstractShape(eqx.Module):
     ) -> tuple[Float[Array, ""], Float[Array, "3"]]:
         """The distance and its gradient."""
         return jax.value_and_grad(self.distance)(point)
+
+    def patches(
+        self, low: Float[np.ndarray, "3"], high: Float[np.ndarray, "3"]
+    ) -> list[Float[np.ndarray, "i j 3"]]:
+        """Grids of points on the surface, to draw it by; none if it has no picture.
+
+        Args:
+            low, high: corners of the box that is looked at [m].
+        """
+        return []
 
 
 def _vector(**values):
@@ -87,6 +98,9 @@ class Plane(AbstractShape):
         normal = _unit(self.normal)
         return jnp.sum((point - self.point) * normal), normal
 
+    def patches(self, low, high):
+        return [surfaces.plane(np.asarray(self.point), np.asarray(self.normal), low, high)]
+
 
 class Sphere(AbstractShape):
     """A sphere, from outside or, as a bowl, from inside.
@@ -110,6 +124,9 @@ class Sphere(AbstractShape):
     def distance(self, point):
         beyond = _length(point - self.centre) - self.radius
         return -beyond if self.inside else beyond
+
+    def patches(self, low, high):
+        return [surfaces.sphere(np.asarray(self.centre), float(self.radius))]
 
 
 class Cylinder(AbstractShape):
@@ -138,6 +155,10 @@ class Cylinder(AbstractShape):
         axis, arm = _unit(self.axis), point - self.point
         beyond = _length(arm - jnp.sum(arm * axis) * axis) - self.radius
         return -beyond if self.inside else beyond
+
+    def patches(self, low, high):
+        line = np.asarray(self.point), np.asarray(self.axis)
+        return [surfaces.cylinder(*line, float(self.radius), low, high)]
 
 
 class HeightField(AbstractShape):
@@ -182,6 +203,13 @@ class HeightField(AbstractShape):
     def distance(self, point):
         height, slope = jax.value_and_grad(self.height)(point[:2])
         return (point[2] - height) / jnp.sqrt(1 + jnp.sum(slope**2))
+
+    def patches(self, low, high):
+        size = np.asarray(self.spacing) * (np.asarray(self.heights.shape) - 1)
+        first = np.asarray(self.origin)
+        flat = surfaces.grid(np.minimum(low[:2], first), np.maximum(high[:2], first + size), 65)
+        heights = np.asarray(jax.vmap(jax.vmap(self.height))(jnp.asarray(flat)))
+        return [np.concatenate([flat, heights[..., None]], -1)]
 
 
 def _catmull_rom(t: Float[Array, ""]) -> Float[Array, "4"]:

@@ -1,0 +1,1 @@
+"""Runs in three dimensions, to look at in a notebook and to share as one file."""

@@ -1,0 +1,86 @@
+"""What a rod is held by and runs into, as a page draws it."""
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from rodjax.scenes.holds import Held
+from rodjax.scenes.scene import Scene
+from rodjax.viewing.packing import as_text
+
+
+def holds(scene: Scene) -> list[dict[str, Any]]:
+    """Nodes that are held, and how from when on: as a ball, a plate, or a plate on a rail."""
+    return [
+        {
+            "node": int(held.node) % (scene.rod.elements + 1),
+            "name": held.name,
+            "spans": _spans(held),
+        }
+        for held in scene.holds
+        if not held.end.nothing
+    ]
+
+
+def _spans(held: Held) -> list[dict[str, Any]]:
+    times = [None, *sorted(float(t) for t in held.end.switch_times)]
+    return [{"after": time, **_kind(held, time)} for time in times]
+
+
+def _kind(held: Held, time: float | None) -> dict[str, Any]:
+    # the first long before any change
+    directions = np.asarray(held.end.projector(jnp.asarray(-1e30 if time is None else time)))
+    places, turns = directions[:3, :3], directions[3:, 3:]
+    held_places, held_turns = round(float(np.trace(places))), round(float(np.trace(turns)))
+    if not held_places and not held_turns:
+        return {"kind": None, "axis": None}
+    axis = None
+    if held_places == 2:  # along what it may slide
+        axis = np.linalg.eigh(places)[1][:, 0].tolist()
+    return {"kind": "plate" if held_turns else "ball", "axis": axis}
+
+
+def obstacles(
+    scene: Scene,
+    times: Float[np.ndarray, " k"],
+    low: Float[np.ndarray, "3"],
+    high: Float[np.ndarray, "3"],
+    origin: Float[np.ndarray, "3"],
+) -> tuple[list[dict[str, Any]], list[str]]:
+    """Surfaces of the scene's obstacles and how they are moved; what of them has no picture.
+
+    Args:
+        times: of the frames [s].
+        low, high: corners of the box in which the rods are [m].
+        origin: from which places in the page are measured [m].
+    """
+    drawn, unseen = [], []
+    for index, load in enumerate(scene.loads):
+        shape: Any = getattr(load, "shape", None)
+        if not hasattr(shape, "patches"):
+            continue
+        patches = shape.patches(low, high)
+        if not patches:
+            unseen.append(f"loads[{index}], a {type(shape).__name__}, is not drawn")
+            continue
+        shift, moved = None, getattr(load, "displacement", None)
+        if moved is not None:
+            shift = as_text(np.asarray(jax.vmap(moved)(jnp.asarray(times))), "<f4")
+        drawn.append(
+            {
+                "patches": [
+                    {
+                        "rows": points.shape[0],
+                        "columns": points.shape[1],
+                        "points": as_text(points - origin, "<f4"),
+                    }
+                    for points in patches
+                ],
+                "shift": shift,
+                "inside": bool(getattr(shape, "inside", False)),
+            }
+        )
+    return drawn, unseen
