@@ -20,7 +20,7 @@ import recovery
 from example import PRESETS, scene
 
 import rodjax as rx
-from rodjax.interactions.contact_forces import report
+from rodjax.interactions.contact_report import report
 
 GAP = 5e-3  # [m], of the pole to the point where the strength is given
 K1, K2, K3 = 1e-7, 3.0, 1e-6 * 1e5

@@ -31,7 +31,8 @@ from rodjax.dynamics.fixed_rollout import rollout
 from rodjax.dynamics.stepping import prepare, step
 from rodjax.equations.equations import step_equations
 from rodjax.equations.generalized_alpha import GeneralizedAlpha
-from rodjax.interactions.contact_forces import pair_forces, vertices_of
+from rodjax.interactions.contact_forces import pair_forces
+from rodjax.interactions.pair_points import vertices_of
 from rodjax.interactions.self_contact import FoundContact
 from rodjax.interactions.sites import interpolate
 from rodjax.numerics.block_tridiagonal import BlockTridiagonal

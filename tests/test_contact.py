@@ -14,13 +14,14 @@ from rodjax.constraints.ends import Clamped
 from rodjax.dynamics.consistency import start
 from rodjax.dynamics.run import Run
 from rodjax.dynamics.stepping import no_info, step
-from rodjax.interactions import contact_forces as forces_of
+from rodjax.interactions import contact_forces, contact_report, pair_points
 from rodjax.interactions import contact_laws as laws
 from rodjax.interactions import sites as sites_module
 from rodjax.interactions.contact import Contact
 from rodjax.interactions.loads import MorisonDrag
 from rodjax.rods.builders import straight_rod
 from rodjax.rods.section import circular_section
+from rodjax.rods.state import node_motion
 from rodjax.scenes.scene import Scene
 
 # Forces
@@ -41,7 +42,7 @@ def test_straight_rod_has_no_contact_and_its_step_is_that_without():
 
 def test_forces_are_equal_and_opposite(bent):
     scene, state, near = bent
-    force = forces_of.forces(scene.contact, scene.rod, *near, state.position, state.velocity)
+    force = contact_forces.forces(scene.contact, *near, node_motion(state))
     scale = float(jnp.max(jnp.abs(force)))
     assert scale > 0
     np.testing.assert_allclose(jnp.sum(force, 0), 0.0, atol=1e-12 * scale)
@@ -55,7 +56,7 @@ def test_central_forces_make_no_torque():
         contact=Contact(LAWS["damped"], segments=20, cutoff=0.1, points_per_segment=2),
     )
     state = start(scene)
-    push = forces_of.report(scene.contact, scene.rod, state.position, state.velocity).force
+    push = contact_report.report(scene.contact, scene.rod, state.position, state.velocity).force
     torque = jnp.sum(jnp.cross(state.position, push), 0)
     np.testing.assert_allclose(torque, 0.0, atol=1e-12 * float(jnp.max(jnp.abs(push))))
 
@@ -68,7 +69,7 @@ def test_contacts_over_a_run_are_those_of_its_states(bent):
     zero = jnp.asarray(0, jnp.int32)
     run = Run(states, no_info(apart.dtype), zero, zero, zero)
     found = measures.contacts(scene, run)
-    alone = forces_of.report(scene.contact, scene.rod, state.position, state.velocity)
+    alone = contact_report.report(scene.contact, scene.rod, state.position, state.velocity)
     np.testing.assert_allclose(found.force[0], alone.force, rtol=1e-12, atol=1e-15)
     assert float(found.total[0]) == pytest.approx(float(alone.total)) and alone.total > 0
     assert float(found.total[1]) == 0 and float(found.smallest[1]) == np.inf
@@ -133,7 +134,7 @@ def test_ripple_of_the_force_is_under_two_percent(name):
     phase = spacing * np.linspace(0, 1, 17)[:, None] + spacing * np.arange(-40, 41)
     r = jnp.asarray(np.sqrt(d**2 + phase**2))
     cosine = jnp.asarray(phase) / r
-    density = jax.vmap(jax.vmap(psi))(r) * forces_of.window(contact, r, PAIR, (cosine, cosine))
+    density = jax.vmap(jax.vmap(psi))(r) * pair_points.window(contact, r, PAIR, (cosine, cosine))
     force = np.sum(density * d / r, 1) * spacing
     assert np.ptp(force) < 0.02 * np.mean(force)
 
@@ -147,7 +148,7 @@ def test_force_does_not_depend_on_the_division():
         )
         scene = Scene(hairpin(96), contact=contact)
         state = start(scene)
-        found = forces_of.report(scene.contact, scene.rod, state.position, state.velocity)
+        found = contact_report.report(scene.contact, scene.rod, state.position, state.velocity)
         totals.append(float(found.total))
     assert totals[0] > 0
     np.testing.assert_allclose(totals, totals[0], rtol=0.01)

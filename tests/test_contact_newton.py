@@ -17,6 +17,7 @@ from rodjax.interactions.contact import Contact
 from rodjax.numerics import newton
 from rodjax.numerics.front_order import FrontSize
 from rodjax.numerics.results import Result
+from rodjax.scenes.scene import Found
 
 # grids finer and coarser than the contact's 20 segments
 finer_and_coarser = pytest.mark.parametrize("bent", [slow(24), 14], indirect=True)
@@ -26,7 +27,7 @@ finer_and_coarser = pytest.mark.parametrize("bent", [slow(24), 14], indirect=Tru
 @finer_and_coarser
 def test_newton_system_is_the_exact_derivative(bent):
     scene, state, near = bent
-    equations = step_equations(scene, state, jnp.asarray(1e-3), jnp.asarray(0.8), (near,))
+    equations = step_equations(scene, state, jnp.asarray(1e-3), jnp.asarray(0.8), Found((), near))
     x = equations.guess(state.force)
     system = equations.linearize(x)
     matrix = jax.jacfwd(equations.residual)(x).reshape(x.size, x.size)
@@ -51,7 +52,9 @@ def test_a_strip_is_solved_as_a_dense_system(bent, monkeypatch):
 
     def solutions():
         near = scene.find_contact(state.position)
-        equations = step_equations(scene, state, jnp.asarray(1e-3), jnp.asarray(0.8), (near,))
+        equations = step_equations(
+            scene, state, jnp.asarray(1e-3), jnp.asarray(0.8), Found((), near)
+        )
         system = equations.linearize(equations.guess(state.force))
         front = system.coupling.capacities[int(near.pairs.capacity) - 1].front
         found = system.solve(b), system.solve_transpose(b), system.eliminate().solve(b)
@@ -60,7 +63,7 @@ def test_a_strip_is_solved_as_a_dense_system(bent, monkeypatch):
     front, expected, _ = solutions()
     assert front is None
     # however few joints are in contact, by a front, or as a dense system if it is too narrow
-    whole = contact_capacities.capacities(scene.contact, len(b) - 1).contact
+    whole = contact_capacities.capacities(scene.contact, len(b) - 1)[-1]
     size = FrontSize(24, 8)
     for module in (screening, coupling):
         monkeypatch.setattr(
@@ -87,7 +90,9 @@ def test_batches_of_right_sides_and_of_systems(bent):
     @jax.jit
     def equations(state):
         found_contact = scene.find_contact(state.position)
-        return step_equations(scene, state, jnp.asarray(1e-3), jnp.asarray(0.5), (found_contact,))
+        return step_equations(
+            scene, state, jnp.asarray(1e-3), jnp.asarray(0.5), Found((), found_contact)
+        )
 
     system = lambda state: equations(state).linearize(equations(state).guess(state.force))
 
@@ -123,7 +128,9 @@ def test_batches_of_right_sides_and_of_systems(bent):
 def test_a_held_derivative_leads_to_the_same_motion(bent):
     scene, state, _ = bent
     found_contact = scene.find_contact(state.position)
-    equations = step_equations(scene, state, jnp.asarray(1e-3), jnp.asarray(0.5), (found_contact,))
+    equations = step_equations(
+        scene, state, jnp.asarray(1e-3), jnp.asarray(0.5), Found((), found_contact)
+    )
     assert int(found_contact.pairs.count) > 0
     rest = (equations.guess(state.force), jnp.asarray(1e-11), jnp.asarray(20))
     whole, each = jax.jit(lambda: newton.iterate(equations, *rest))()
@@ -144,7 +151,9 @@ def test_every_size_of_solver_gives_the_same_increment(bent):
         same = eqx.tree_at(lambda s: s.contact, scene, contact)
         near = same.find_contact(state.position, 1e-3 * state.velocity)
         assert int(near.pairs.capacity) == len(sizes) - (len(sizes) > 1)
-        equations = step_equations(same, state, jnp.asarray(1e-3), jnp.asarray(0.8), (near,))
+        equations = step_equations(
+            same, state, jnp.asarray(1e-3), jnp.asarray(0.8), Found((), near)
+        )
         found.append(equations.newton_increment(equations.guess(state.force)))
     np.testing.assert_allclose(found[1], found[0], atol=1e-12)
 

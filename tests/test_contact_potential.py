@@ -17,7 +17,8 @@ from rodjax.dynamics.stepping import no_info
 from rodjax.equations.overlap import least_held
 from rodjax.interactions import contact_laws
 from rodjax.interactions.contact_energy import contact_energy, has_potential, pair_energy
-from rodjax.interactions.contact_forces import report, window
+from rodjax.interactions.contact_report import report
+from rodjax.interactions.pair_points import window
 from rodjax.interactions.screening import search
 from rodjax.interactions.sites import sites_of
 

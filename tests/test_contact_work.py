@@ -11,7 +11,7 @@ from made_runs import reactions, run_of, run_over, start, state_of
 
 from rodjax import energy
 from rodjax.constraints.ends import Clamped
-from rodjax.interactions import contact, contact_energy, contact_forces, contact_laws, screening
+from rodjax.interactions import contact, contact_energy, contact_laws, contact_report, screening
 from rodjax.interactions.loads import LinearDrag
 from rodjax.rods import builders
 from rodjax.scenes.scene import Scene
@@ -83,7 +83,7 @@ def test_the_ledger_searches_for_contact_once_a_state(hairpin, monkeypatch):
     searches, search = [], screening.search
     counted = lambda *given: searches.append(None) or search(*given)
     monkeypatch.setattr(screening, "search", counted)
-    for module in (contact_forces, contact_energy):
+    for module in (contact_report, contact_energy):
         monkeypatch.delattr(module, "search")
     run = run_of([state_of(hairpin.rod)] * 5)
     # not traced before, as the scene of other tests is

@@ -34,7 +34,7 @@ def _public() -> dict[str, object]:
         "measuring.energy": ["Ledger", "Reactions"],
         "rods.winding": ["twist", "writhe", "writhe_of"],
         "dynamics.stepping": ["StepInfo"],
-        "interactions.contact_forces": ["ContactReport"],
+        "interactions.contact_report": ["ContactReport"],
         "equilibria.load_path": ["EquilibriumInfo"],
         "equilibria.linear_stability": ["Stability"],
         "equilibria.small_vibration": ["Vibration"],

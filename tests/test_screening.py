@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from helpers import DIAMETER, LAWS, PAIR, hairpin
 
-from rodjax.interactions import contact_forces as forces_of
-from rodjax.interactions import screening
+from rodjax.interactions import pair_points, screening
 from rodjax.interactions import sites as sites_module
 from rodjax.interactions.contact import Contact
 from rodjax.rods.builders import straight_rod
@@ -46,7 +45,7 @@ def test_search_misses_no_pair_that_acts(bent):
             d = np.linalg.norm(r, axis=-1)
             cosines = [np.sum(r * chord[segment], -1) / d for segment in (a, b)]
             apart = np.abs(where.arc_length[b][None] - where.arc_length[a][:, None])
-            gate = forces_of.window(scene.contact, d, PAIR, cosines)
+            gate = pair_points.window(scene.contact, d, PAIR, cosines)
             if np.any((gate > 0) & (apart >= scene.contact.excluded)):
                 acting.add((a, b))
     assert len(acting) > 5 and acting <= listed

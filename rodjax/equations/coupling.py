@@ -5,6 +5,7 @@ reads the displacements of those vertices, L puts forces on them into the force 
 """
 
 import dataclasses
+from typing import NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -13,10 +14,12 @@ from jaxtyping import Array, Float
 from rodjax.equations.assembly import Scales
 from rodjax.interactions.contact import Contact
 from rodjax.interactions.contact_capacities import Capacity, capacities
-from rodjax.interactions.contact_forces import forces_and_derivative, gather, vertices_of
+from rodjax.interactions.contact_forces import forces_and_derivative, gather, rates_of
+from rodjax.interactions.pair_points import vertices_of
 from rodjax.interactions.screening import NearPairs
 from rodjax.interactions.self_contact import FoundContact, on_nodes
 from rodjax.interactions.sites import Sites, interpolate, spread
+from rodjax.numerics import rotations
 from rodjax.rods.state import NodeMotion
 from rodjax.scenes.holds import Node, with_row
 
@@ -26,13 +29,19 @@ class Coupling(eqx.Module):
 
     sites: Sites
     pairs: NearPairs
-    derivative: Float[Array, "q 4 4 3 3"]  # of minus the force by the vertices, scaled
-    left: Float[Array, "nodes 9 3"]  # where a force on a node enters its block row
-    right: Float[Array, "nodes 9 3"]  # where a node's displacement stands in its block column
+    derivative: Float[Array, "q 4 4 w w"]  # of minus the force by the vertices, scaled
+    left: Float[Array, "nodes 9 w"]  # where a force on a node enters its block row
+    right: Float[Array, "nodes 9 w"]  # where a node's displacement stands in its block column
     capacities: tuple[Capacity, ...] = eqx.field(static=True)  # sizes with a solver
 
+    @property
+    def width(self) -> int:
+        """Components of what acts on a vertex: 3, or 6 with the moments of friction."""
+        return self.left.shape[2]
+
     def held(self, projectors: Float[Array, "h 6 6"], nodes: tuple[Node, ...]) -> "Coupling":
-        """The same contact of a rod that is held so."""
+        """The same contact, without friction, of a rod that is held so."""
+        assert self.width == 3
         return dataclasses.replace(self, left=_balances(projectors, nodes, len(self.left)))
 
     def transpose(self) -> "Coupling":
@@ -49,7 +58,7 @@ class Coupling(eqx.Module):
         """L K R^T b, pair by pair."""
         return self.push(interpolate(self.sites, jnp.einsum("jrk,jr->jk", self.right, b)))
 
-    def push(self, moved: Float[Array, "j 3"]) -> Float[Array, "nodes 9"]:
+    def push(self, moved: Float[Array, "j w"]) -> Float[Array, "nodes 9"]:
         """L K times displacements of the vertices, pair by pair."""
         index = jnp.stack(vertices_of(self.pairs), 1)
         force = jnp.einsum("qijkl,qjl->qik", self.derivative, moved[index])
@@ -58,41 +67,93 @@ class Coupling(eqx.Module):
 
 
 def _balances(
-    projectors: Float[Array, "h 6 6"], nodes: tuple[Node, ...], count: int
-) -> Float[Array, "nodes 9 3"]:
-    """Where a force enters the block rows of the nodes: nowhere in directions that are held."""
+    projectors: Float[Array, "h 6 6"],
+    nodes: tuple[Node, ...],
+    count: int,
+    moments: Float[Array, "nodes 3 3"] | None = None,
+) -> Float[Array, "nodes 9 w"]:
+    """Where a force enters the block rows of the nodes: nowhere in directions that are held.
+
+    Then moments, of these axes, if there are any.
+    """
     eye = jnp.eye(9, 3, k=-3, dtype=projectors.dtype)
     left = jnp.broadcast_to(eye[None], (count, 9, 3))
+    if moments is not None:
+        left = jnp.concatenate([left, jnp.pad(moments, ((0, 0), (6, 0), (0, 0)))], 2)
     for node, projector in zip(nodes, projectors, strict=True):
-        left = with_row(left, node, eye - jnp.pad(projector[:, :3], ((3, 0), (0, 0))))
+        taken, whole = projector[:, :3], eye
+        if moments is not None:
+            taken = jnp.concatenate([taken, projector[:, 3:] @ moments[node]], 1)
+            whole = left[node]
+        left = with_row(left, node, whole - jnp.pad(taken, ((3, 0), (0, 0))))
     return left
+
+
+class Following(NamedTuple):
+    """How the nodes' rates follow from their increments in a step."""
+
+    by_velocity: Float[Array, ""]  # [1/s]
+    increment: Float[Array, "nodes 6"]  # displacements and rotation vectors
 
 
 def couple(
     contact: Contact,
     found: FoundContact,
     motion: NodeMotion,
-    by_velocity: Float[Array, ""],
+    following: Following | None,
     projectors: Float[Array, "h 6 6"],
     nodes: tuple[Node, ...],
     scales: Scales,
 ) -> tuple[Float[Array, "nodes 6"], Coupling]:
     """What contact exerts on the nodes, and its derivative in a system as `assembly.assemble`'s.
 
-    Velocities follow positions by the factor `by_velocity`.
+    The moments of friction, of inertial axes in the coupling, also turn with the frames of the
+    nodes: see `turned_moments`. At rest (None follows) there is no friction.
     """
     sites, pairs = found
-    vertices, velocities = (interpolate(sites, x) for x in (motion.position, motion.velocity))
-    between = forces_and_derivative(contact, sites, pairs, vertices, velocities, by_velocity)
+    still = jnp.zeros_like(scales.force)
+    by_velocity = still if following is None else following.by_velocity
+    rates = rates_of(contact, motion)
+    vertices, rates = (interpolate(sites, x) for x in (motion.position, rates))
+    between = forces_and_derivative(contact, sites, pairs, vertices, rates, by_velocity)
     assert between.derivative is not None
     count = len(motion.position)
-    left = _balances(projectors, nodes, count)
-    coupling = Coupling(
-        sites,
-        pairs,
-        scales.length / scales.force * between.derivative,
-        left,
-        jnp.broadcast_to(jnp.eye(9, 3, dtype=left.dtype)[None], left.shape),
-        capacities(contact, count - 1),
-    )
-    return on_nodes(spread(sites, between.force, count)), coupling
+    derivative = scales.length / scales.force * between.derivative
+    axes, spins = None, None
+    if contact.friction is not None:
+        assert following is not None
+        units = jnp.repeat(jnp.stack([jnp.ones_like(scales.length), 1 / scales.length]), 3)
+        derivative = derivative * (units[:, None] * units[None, :])[None, None, None]
+        axes, spins = _turned(motion, following)
+    left = _balances(projectors, nodes, count, axes)
+    right = jnp.broadcast_to(jnp.eye(9, 3, dtype=left.dtype)[None], (count, 9, 3))
+    if spins is not None:
+        right = jnp.concatenate([right, spins], 2)
+    at = capacities(contact, count - 1)
+    coupling = Coupling(sites, pairs, derivative, left, right, at)
+    return on_nodes(spread(sites, between.force, count), motion), coupling
+
+
+def _turned(motion: NodeMotion, following: Following):
+    """Where moments enter the rows of the body's, and which columns turn by what spins follow.
+
+    Both are of inertial axes; spins follow rotations by the factor `by_velocity`.
+    """
+    frames = rotations.matrix(motion.quaternion)
+    # of the spin R w, w the body's own, that follows the rotation vector
+    carried = rotations.hat(motion.angular_velocity) / following.by_velocity
+    followed = frames @ (rotations.tangent_inverse(following.increment[:, 3:]) - carried)
+    spins = jnp.pad(jnp.swapaxes(followed, 1, 2), ((0, 0), (6, 0), (0, 0)))
+    return jnp.swapaxes(frames, 1, 2), spins
+
+
+def turned_moments(
+    contact: Contact, wrench: Float[Array, "nodes 6"]
+) -> Float[Array, "nodes 6 6"] | None:
+    """Derivative of minus what contact exerts by the nodes' spins, of moments that keep inertial.
+
+    None without friction, whose moments they are.
+    """
+    if contact.friction is None:
+        return None
+    return jnp.pad(-rotations.hat(wrench[:, 3:]), ((0, 0), (3, 0), (3, 0)))

@@ -16,7 +16,7 @@ from jaxtyping import Array, Float, Int
 from rodjax.equations.assembly import AS_COLUMNS
 from rodjax.equations.coupling import Coupling
 from rodjax.interactions.contact_capacities import Capacity
-from rodjax.interactions.contact_forces import vertices_of
+from rodjax.interactions.pair_points import vertices_of
 from rodjax.interactions.sites import interpolate
 from rodjax.numerics.block_tridiagonal import BlockTridiagonal, Factors
 from rodjax.numerics.signs import determinant_signs, negative_in_all
@@ -38,7 +38,7 @@ class DenseElimination(eqx.Module):
         """Of blocks + coupling, whose vertices in contact the capacity must hold."""
         factors = blocks.factorize()
         response = _response(factors, coupling, capacity, _rows(coupling, capacity))
-        eye = jnp.eye(capacity.unknowns, dtype=response.dtype)
+        eye = jnp.eye(len(response), dtype=response.dtype)
         lu, _, order = lax.linalg.lu(eye + response)
         return cls(coupling, capacity, factors, lu, order)
 
@@ -75,10 +75,10 @@ class DenseElimination(eqx.Module):
         Haynsworth's theorem both have the same numbers in all.
         """
         coupling, capacity = self.coupling, self.capacity
-        size = capacity.unknowns
+        size = coupling.width * capacity.points
         eye = jnp.eye(size, dtype=self.lu.dtype)
         derivative = _derivative(coupling, capacity).reshape(size, size)
-        units = _on_nodes(coupling, capacity, eye.reshape(-1, 3, size))
+        units = _on_nodes(coupling, capacity, eye.reshape(-1, coupling.width, size))
         given = _response(self.factors, coupling, capacity, units)
         matrix = jnp.block([[-given, -eye], [-eye, derivative]])
         pivots = blocks.pivots(self.factors)[:, np.array(AS_COLUMNS)]
@@ -95,7 +95,7 @@ class DenseElimination(eqx.Module):
     @classmethod
     def from_numbers(cls, coupling, capacity, rows, order) -> "DenseElimination":
         """What gave these numbers."""
-        size, k = 81, capacity.unknowns
+        size, k = 81, coupling.width * capacity.points
         parts = [rows[:, i * size : (i + 1) * size].reshape(-1, 9, 9) for i in range(3)]
         share = -(-k * k // rows.shape[0])
         flat = rows[:, 3 * size : 3 * size + share].reshape(-1)
@@ -103,28 +103,28 @@ class DenseElimination(eqx.Module):
         return cls(coupling, capacity, Factors(*parts), lu, order[:k])
 
 
-def _rows(coupling: Coupling, capacity: Capacity) -> Float[Array, "nodes 3 k"]:
+def _rows(coupling: Coupling, capacity: Capacity) -> Float[Array, "nodes w k"]:
     """Forces on all nodes by displacements of the vertices in contact, or of their nodes."""
     return _on_nodes(coupling, capacity, _derivative(coupling, capacity))
 
 
-def _derivative(coupling: Coupling, capacity: Capacity) -> Float[Array, "m 3 k"]:
+def _derivative(coupling: Coupling, capacity: Capacity) -> Float[Array, "m w k"]:
     """Forces on the vertices in contact, or on their nodes, by displacements of these."""
-    pairs, size = coupling.pairs, capacity.vertices
+    pairs, size, width = coupling.pairs, capacity.vertices, coupling.width
     rank = jnp.stack([pairs.rank[vertex[: capacity.pairs]] for vertex in vertices_of(pairs)], 1)
     # scattered by whole blocks, which is faster than by numbers
-    blocks = jnp.zeros((size, size, 3, 3), coupling.derivative.dtype)
+    blocks = jnp.zeros((size, size, width, width), coupling.derivative.dtype)
     index = (rank[:, :, None], rank[:, None, :])
     blocks = blocks.at[index].add(coupling.derivative[: capacity.pairs], mode="drop")
     if pairs.nodes is not None:
         weight = _weights(coupling, size)[pairs.nodes[: capacity.nodes]]
         blocks = jnp.einsum("na,abij,mb->nmij", weight, blocks, weight)
-    return jnp.swapaxes(blocks, 1, 2).reshape(-1, 3, 3 * blocks.shape[0])
+    return jnp.swapaxes(blocks, 1, 2).reshape(-1, width, width * blocks.shape[0])
 
 
 def _on_nodes(
-    coupling: Coupling, capacity: Capacity, rows: Float[Array, "m 3 k"]
-) -> Float[Array, "nodes 3 k"]:
+    coupling: Coupling, capacity: Capacity, rows: Float[Array, "m w k"]
+) -> Float[Array, "nodes w k"]:
     """Forces on all nodes from those on the vertices in contact, or on their nodes."""
     pairs = coupling.pairs
     if pairs.nodes is None:
@@ -143,7 +143,7 @@ def _weights(coupling: Coupling, size: int) -> Float[Array, "nodes m"]:
 
 
 def _read(
-    coupling: Coupling, nodal: Float[Array, "nodes 3 c"], capacity: Capacity
+    coupling: Coupling, nodal: Float[Array, "nodes w c"], capacity: Capacity
 ) -> Float[Array, "k c"]:
     """Displacements of the vertices in contact, or of their nodes, from those of all nodes."""
     sites, pairs = coupling.sites, coupling.pairs
@@ -160,18 +160,18 @@ def _read(
 
 def _vertices(
     coupling: Coupling, displacement: Float[Array, " k"], capacity: Capacity
-) -> Float[Array, "j 3"]:
+) -> Float[Array, "j w"]:
     """Displacements of all vertices from those of the vertices in contact, or of their nodes."""
-    given, pairs = displacement.reshape(-1, 3), coupling.pairs
+    given, pairs = displacement.reshape(-1, coupling.width), coupling.pairs
     if pairs.nodes is None:
-        every = jnp.zeros((pairs.order.shape[0], 3), given.dtype)
+        every = jnp.zeros((pairs.order.shape[0], coupling.width), given.dtype)
         return every.at[pairs.order[: capacity.vertices]].set(given)
-    nodal = jnp.zeros((coupling.left.shape[0], 3), given.dtype)
+    nodal = jnp.zeros((coupling.left.shape[0], coupling.width), given.dtype)
     return interpolate(coupling.sites, nodal.at[pairs.nodes[: capacity.nodes]].set(given))
 
 
 def _response(
-    factors: Factors, coupling: Coupling, capacity: Capacity, forces: Float[Array, "nodes 3 k"]
+    factors: Factors, coupling: Coupling, capacity: Capacity, forces: Float[Array, "nodes w k"]
 ) -> Float[Array, "k k"]:
     """R^T A^-1 L times forces on the nodes: displacements in contact that they cause."""
     # A^-1 (L K), not (A^-1 L) K: a product of large matrices less

@@ -1,5 +1,6 @@
 """Equations of a rod by any scheme: balance, constraint and ends, and their Newton system."""
 
+from collections.abc import Callable
 from typing import Generic, NamedTuple, TypeVar
 
 import equinox as eqx
@@ -13,7 +14,7 @@ from rodjax.equations.anchored import Anchor, AnchoredBordered, AnchoredSystem
 from rodjax.equations.assembly import Scales, assemble, residual_rows
 from rodjax.equations.border import BorderedSystem
 from rodjax.equations.coupled import CoupledSystem
-from rodjax.equations.coupling import Coupling, couple
+from rodjax.equations.coupling import Coupling, Following, couple, turned_moments
 from rodjax.equations.generalized_alpha import coefficients
 from rodjax.equations.goals import Goals, gaps, goals_of, scales_of
 from rodjax.equations.imbalance import (
@@ -81,6 +82,8 @@ class Equations(eqx.Module, Generic[Scheme]):
     ) -> "Equations[Scheme]":
         """At `time`, what holds the rod at `start` moved by its schedules since."""
         scene = scene.recalling(start.memory)
+        if scheme.slopes() is None:
+            scene = scene.resting
         goals = goals_of(scene, scheme, start, time)
         held = projectors(scene, start.time)
         return cls(scene, scheme, time, scales_of(scene, scheme), held, goals, found)
@@ -169,29 +172,35 @@ class Equations(eqx.Module, Generic[Scheme]):
     def linearize(self, x) -> CoupledSystem | AnchoredSystem | JointedSystem:
         """Derivative of the residual by the increments that `lift` takes."""
         placed = self._placed(x)
-        return self._system(x, placed, self._contact(placed.motion)[1])
+        return self._system(x, placed, *self._contact(placed))
 
     @jax.named_scope("newton_increment")
     def newton_increment(self, x):
         """Newton's increment, contact forces and their derivative evaluated once."""
         placed = self._placed(x)
-        push, coupling = self._contact(placed.motion)
-        return self._system(x, placed, coupling).solve_once(-self._residual(x, placed, push))
+        push, coupling = self._contact(placed)
+        return self._system(x, placed, push, coupling).solve_once(-self._residual(x, placed, push))
 
-    def _contact(self, motion: NodeMotion) -> tuple[Acting, Coupling | None]:
+    def _contact(self, placed: _Placed) -> tuple[Acting, Coupling | None]:
         """What contact exerts on the nodes, and its derivative in the Newton system."""
+        motion = placed.motion
         contact, slopes = self.scene.contact, self.scheme.slopes()
         if contact is None:
             return (), None
-        by_velocity = jnp.zeros_like(self.scales.force) if slopes is None else slopes.by_velocity
         found_contact = self.found_contact
         if found_contact is None:
             found_contact = self.scene.find_contact(motion.position)
         held = self.projectors, self.scene.held_nodes
-        push, coupling = couple(contact, found_contact, motion, by_velocity, *held, self.scales)
+        following = None if slopes is None else Following(slopes.by_velocity, placed.increment)
+        push, coupling = couple(contact, found_contact, motion, following, *held, self.scales)
         return (push,), coupling
 
-    def _system(self, x, placed: _Placed, coupling: Coupling | None):
+    def _of_moments(self, push: Acting) -> Float[Array, "nodes 6 6"] | None:
+        """What the moments of friction add to the nodes' tangents."""
+        contact = self.scene.contact
+        return None if contact is None else turned_moments(contact, push[0])
+
+    def _system(self, x, placed: _Placed, push: Acting, coupling: Coupling | None):
         scene, scheme, motion = self.scene, self.scheme, placed.motion
         slopes, moving = scheme.slopes(), None
         if slopes is not None and placed.acceleration is not None:
@@ -201,6 +210,9 @@ class Equations(eqx.Module, Generic[Scheme]):
         tangent = balance.element_tangent(scene.rod, motion, self.force(x), moving)
         node = node_tangent(scene, motion, moving=moving, load_factor=scheme.load_part())
         node = scheme.stiffened(placed.change, node)
+        moments = self._of_moments(push)
+        if moments is not None:
+            node = node + moments
         joints, border = self.joints(x), None
         if joints is not None:
             found = joint_terms.terms(scene, motion, joints)
@@ -230,18 +242,17 @@ class Equations(eqx.Module, Generic[Scheme]):
 
         The lanes of a batch go together while nothing is near in any of them, else one by one.
         """
-        if self.scene.rubs:
-            return newton.iterate_dual(self, x, tolerance, max_iterations)
         if self.found_contact is None:
-            return newton.iterate(self, x, tolerance, max_iterations)
+            return self._iterated(x, tolerance, max_iterations)
         arrays, rest = eqx.partition(self, eqx.is_array)
-        given = (x, tolerance, max_iterations)
+        given, rubs = (x, tolerance, max_iterations), self.scene.rubs
 
         def coupled(arrays, *given):
-            return newton.iterate_held(eqx.combine(arrays, rest), *given)
+            whole = eqx.combine(arrays, rest)
+            return whole._iterated(*given) if rubs else newton.iterate_held(whole, *given)
 
         def uncoupled(arrays, *given):
-            return newton.iterate(eqx.combine(arrays, rest).without_contact(), *given)
+            return eqx.combine(arrays, rest).without_contact()._iterated(*given)
 
         def one(arrays, *given):
             return lax.cond(
@@ -251,10 +262,13 @@ class Equations(eqx.Module, Generic[Scheme]):
         together = lambda arrays, *given: arrays.found_contact.pairs.count == 0
         return one_by_one(one, (together, uncoupled))(arrays, *given)
 
+    def _iterated(self, x, tolerance, max_iterations):
+        method = newton.iterate_dual if self.scene.rubs else newton.iterate
+        return method(self, x, tolerance, max_iterations)
+
     def first_duals(self, x) -> tuple:
         """What friction's derivative begins with."""
-        motion, rod = self.motion(x), self.scene.rod
-        return tuple(load.first_dual(rod, motion) for load in self.scene.loads)
+        return self._duals(x, lambda one: one.first_dual)
 
     def with_duals(self, duals: tuple) -> "Equations[Scheme]":
         """The equations whose derivative is that of these duals."""
@@ -262,8 +276,13 @@ class Equations(eqx.Module, Generic[Scheme]):
 
     def next_duals(self, x) -> tuple:
         """What follows them after an iteration to x."""
-        motion, rod = self.motion(x), self.scene.rod
-        return tuple(load.next_dual(rod, motion) for load in self.scene.loads)
+        return self._duals(x, lambda one: one.next_dual)
+
+    def _duals(self, x, asked: Callable) -> tuple:
+        scene, motion = self.scene, self.motion(x)
+        found = scene.find(motion.position) if self.found is None else self.found
+        each = zip(scene.interactions, found.each, strict=True)
+        return tuple(asked(one)(scene.rod, motion, its) for one, its in each)
 
     def without_contact(self) -> "Equations[Scheme]":
         """The equations of strands that do not feel each other."""

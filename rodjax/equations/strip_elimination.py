@@ -2,6 +2,7 @@
 
 import equinox as eqx
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float, Int
 
 from rodjax.equations.assembly import AS_COLUMNS
@@ -16,7 +17,10 @@ from rodjax.numerics.signs import determinant_signs, negative_in_all
 
 
 class StripElimination(eqx.Module):
-    """Factors of the whole matrix by a front."""
+    """Factors of the whole matrix by a front, with those rows and columns first that it is for.
+
+    They are the displacements, the force balances; with the moments of friction the rotations too.
+    """
 
     factors: FrontalFactors
 
@@ -25,22 +29,30 @@ class StripElimination(eqx.Module):
         cls, blocks: BlockTridiagonal, coupling: Coupling, capacity: Capacity
     ) -> "StripElimination":
         """Of blocks + coupling, whose nodes the front of the capacity must hold."""
-        parts = (_permuted(part) for part in (blocks.lower, blocks.diagonal, blocks.upper))
-        graph, size = _graph(coupling), capacity.front
-        assert size is not None
+        graph, width = _graph(coupling), coupling.width
+        assert capacity.front is not None
+        size = capacity.front._replace(reaching=width)
+        rows, columns = _rows(width), _columns(width)
+        parts = (blocks.lower, blocks.diagonal, blocks.upper)
+        parts = (_taken(_taken(part, rows, 1), columns, 2) for part in parts)
         # ends take the directions that they hold out of the forces on their nodes
-        left = coupling.left[:, 3:6]
         given = coupling.sites, coupling.pairs.count, coupling.derivative
-        far = contact_graph.distant(graph, *given, left)
+        left = coupling.left[:, 3 : 3 + width]
+        right = None
+        if width > 3:
+            right = jnp.swapaxes(_taken(coupling.right, columns, 1)[:, :width], 1, 2)
+        far = contact_graph.distant(graph, *given, left, right)
         return cls(frontal.factorize(BlockTridiagonal(*parts), far, graph.order, size))
 
     def solve(self, b: Float[Array, "nodes 9"]) -> Float[Array, "nodes 9"]:
         """Solution for one right side."""
-        return self.factors.solve(_permuted(b))
+        width = self.factors.size.reaching
+        return _back(self.factors.solve(_taken(b, _rows(width), 1)), _columns(width))
 
     def solve_transpose(self, b: Float[Array, "nodes 9"]) -> Float[Array, "nodes 9"]:
         """Solution of the transposed system for one right side."""
-        return _permuted(self.factors.solve_transpose(b))
+        width = self.factors.size.reaching
+        return _back(self.factors.solve_transpose(_taken(b, _columns(width), 1)), _rows(width))
 
     def sign(self, blocks: BlockTridiagonal) -> Float[Array, ""]:
         """Sign of the determinant, of what these `blocks` are part of."""
@@ -60,12 +72,30 @@ class StripElimination(eqx.Module):
     @classmethod
     def from_numbers(cls, coupling, capacity, rows, order) -> "StripElimination":
         """What gave these numbers."""
-        return cls(FrontalFactors(_graph(coupling).order, rows, capacity.front))
+        size = capacity.front._replace(reaching=coupling.width)
+        return cls(FrontalFactors(_graph(coupling).order, rows, size))
 
 
-def _permuted(rows):
-    """Rows of blocks with those first that contact touches, as among the columns, or back."""
-    return rows[:, jnp.asarray(AS_COLUMNS, jnp.int32)]
+def _rows(width: int) -> tuple[int, ...]:
+    """The rows of a block in the order in which they are eliminated."""
+    return AS_COLUMNS if width == 3 else (3, 4, 5, 6, 7, 8, 0, 1, 2)
+
+
+def _columns(width: int) -> tuple[int, ...]:
+    """The columns, in the order of these rows."""
+    return tuple(range(9)) if width == 3 else (0, 1, 2, 6, 7, 8, 3, 4, 5)
+
+
+def _taken(values, order: tuple[int, ...], axis: int):
+    """The rows or columns of blocks in this order."""
+    if order == tuple(range(9)):
+        return values
+    return jnp.take(values, jnp.asarray(order, jnp.int32), axis=axis)
+
+
+def _back(values, order: tuple[int, ...]):
+    """What was found in this order, in its own."""
+    return _taken(values, tuple(np.argsort(order).tolist()), 1)
 
 
 def _graph(coupling: Coupling) -> Graph:

@@ -164,7 +164,7 @@ def follow(
         # the first time round only the start's modes are counted
         most = jnp.where(opening, 0, max_iterations)
         guess = trial.guess(force, state.joints)
-        if scene.rubs:
+        if trial.scene.rubs:
             x, solved = newton.iterate_dual(trial, guess, tolerance, most)
         else:
             x, solved = newton.iterate(trial, guess, tolerance, most, patience)

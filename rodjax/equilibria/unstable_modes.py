@@ -95,8 +95,8 @@ def _count(equations: Equations[AtRest], x, added: Float[Array, "nodes 6"]) -> I
         return counted(CoupledSystem(blocks), *held, even)
     motion = equations.motion(x)
     found = scene.find_contact(motion.position)
-    still, nowhere = jnp.zeros((), x.dtype), (jnp.zeros((0, 6, 6), x.dtype), ())
-    coupling = couple(scene.contact, found, motion, still, *nowhere, equations.scales)[1]
+    nowhere = jnp.zeros((0, 6, 6), x.dtype), ()
+    coupling = couple(scene.contact, found, motion, None, *nowhere, equations.scales)[1]
     derivative = jnp.where(even, coupling.symmetric().derivative, coupling.derivative)
     coupling = dataclasses.replace(coupling, derivative=derivative)
     apart = lambda blocks, coupling, *rest: counted(CoupledSystem(blocks), *rest)

@@ -23,8 +23,9 @@ from rodjax.inputs.validation import (
     given,
     known,
 )
-from rodjax.interactions.contact_checks import check_law
+from rodjax.interactions.contact_checks import check_friction, check_law
 from rodjax.interactions.contact_laws import AbstractLaw, Penalty
+from rodjax.interactions.friction import AbstractFriction, Dual
 from rodjax.rods.rod import Rod
 
 
@@ -56,7 +57,9 @@ class Contact(eqx.Module):
         pairs_per_segment: capacity of the list of near pairs, per vertex of `capacities`. Default:
             what two strands side by side need, by the rod of the scene; 4 where its length or the
             cut-off is not known, as in traced code.
+        friction: of the strands' surfaces, `SlidingFriction`; None: they are smooth.
         listed, shares: set by the scene, see `fitted`.
+        dual: set by the equations of a step, see `AbstractFriction.dual`.
     """
 
     law: AbstractLaw
@@ -68,11 +71,14 @@ class Contact(eqx.Module):
     exclusion: Float[Array, ""] | None = eqx.field(converter=as_float_or_none, default=None)
     capacities: tuple[int, ...] | None = eqx.field(static=True, default=None)
     pairs_per_segment: int | None = eqx.field(static=True, default=None)
+    friction: AbstractFriction | None = None
     listed: int | None = eqx.field(static=True, default=None, repr=False)
     shares: tuple[int, ...] | None = eqx.field(static=True, default=None, repr=False)
+    dual: Dual | None = eqx.field(default=None, repr=False)
 
     def __check_init__(self):
         check_instance(AbstractLaw, "give a law such as Penalty(stiffness)", law=self.law)
+        check_friction(self.friction)
         # what is compared or listed: segments with each other, points of pairs in blocks
         check_integer(2, 10_000, segments=self.segments)
         check_integer(1, 256, points_per_segment=self.points_per_segment)
@@ -113,6 +119,7 @@ class Contact(eqx.Module):
         *,
         indentation: float = 0.05,
         relaxation: Number | Float[Array, ""] = 0.0,
+        friction: AbstractFriction | None = None,
     ) -> "Contact":
         """Contact of solid strands of the rod's diameter D, from the load that it must carry.
 
@@ -122,6 +129,7 @@ class Contact(eqx.Module):
             indentation: how far strands that cross at right angles under this force come into each
                 other [D], at most 0.2. Less is stiffer, and asks for more points.
             relaxation: damping of the contact, see `Penalty` [s].
+            friction: of the strands' surfaces.
 
         The law is a `Penalty` whose stiffness k follows from the force F between crossing strands
         at d = (1 - indentation) D: with the energy k depth^3/(6 softness D) of its soft beginning,
@@ -163,7 +171,8 @@ class Contact(eqx.Module):
             )
         size = np.pi * (1 - indentation) * indentation**2 * float(thin) ** 3
         law = Penalty(3 * as_float(force) / size, softness=indentation, relaxation=relaxation)
-        return cls(law, segments, 1.1 * float(thick), points_per_segment=points)
+        cutoff = 1.1 * float(thick)
+        return cls(law, segments, cutoff, points_per_segment=points, friction=friction)
 
     def check(self, rod: Rod) -> None:
         """Raise ValueError where the rod lacks what contact needs."""
@@ -204,6 +213,11 @@ class Contact(eqx.Module):
         shares = _shared_out(self.segments, rod) if rod.breaks else None
         listed = max(4, self._partners(rod)) if known_parts else self.listed
         return dataclasses.replace(self, listed=listed, shares=shares)
+
+    @property
+    def width(self) -> int:
+        """Components of what acts on a vertex: a force, and with friction a moment."""
+        return 3 if self.friction is None else 6
 
     @property
     def shared(self) -> tuple[int, ...]:

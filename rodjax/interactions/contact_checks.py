@@ -8,13 +8,27 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from rodjax.inputs.validation import all_known
+from rodjax.inputs.validation import all_known, check_instance
 from rodjax.interactions.contact_laws import AbstractLaw, PairProperties
+from rodjax.interactions.friction import AbstractFriction
 from rodjax.numerics.compilation import compiled
 from rodjax.rods.rod import Rod
 
 # Distances at which a law is tried, from its smallest to the cut-off, and the one tried by itself.
 _TRIED, _ALONE = 64, 7
+
+
+def check_friction(friction: Any) -> None:
+    """Raise ValueError where strands cannot rub on each other by this law."""
+    if friction is None:
+        return
+    mend = "give a law such as SlidingFriction(0.3, slip_speed=1e-4), or None for smooth strands"
+    check_instance(AbstractFriction, mend, friction=friction)
+    if friction.remembers:
+        raise ValueError(
+            f"friction: strands have no anchors on each other, as {type(friction).__name__} needs"
+            " them; give SlidingFriction with a slip speed that is small beside the motion"
+        )
 
 
 def check_law(law: AbstractLaw, cutoff: Float[Array, ""], rod: Rod) -> None:

@@ -1,5 +1,6 @@
 """Contact forces: the law summed over the points of near pairs of segments, and its derivative."""
 
+from functools import partial
 from typing import NamedTuple
 
 import equinox as eqx
@@ -8,41 +9,23 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool, Float
 
+from rodjax.interactions import strand_friction
 from rodjax.interactions.contact import Contact
-from rodjax.interactions.contact_laws import PairProperties, continued
-from rodjax.interactions.screening import BLOCK, NearPairs, search
-from rodjax.interactions.sites import Sites, along, interpolate, sites_of, spread
+from rodjax.interactions.friction import Dual
+from rodjax.interactions.pair_points import Points, blocks_of, points_of, vertices_of
+from rodjax.interactions.screening import BLOCK, NearPairs
+from rodjax.interactions.sites import Sites, interpolate, spread
+from rodjax.numerics import rotations
 from rodjax.numerics.batching import largest, one_by_one
-from rodjax.rods.rod import Rod
+from rodjax.rods.state import NodeMotion
 
 
-def smooth_step(x):
-    """0 below 0, 1 above 1, C2 between."""
-    x = jnp.clip(x, 0.0, 1.0)
-    return x**3 * (10 - 15 * x + 6 * x**2)
+class Rubbed(NamedTuple):
+    """Sums over all pairs of points of what friction does."""
 
-
-def window(contact: Contact, distance, pair: PairProperties, cosines=()):
-    """Smooth gate of a pair of points: near enough, and inside both apertures.
-
-    A law that vanishes by itself is not touched by the cut-off. `cosines` are n.t, n the unit
-    vector between the points, t the chord at either; inside means |n.t| <= sin(theta/2). It fades
-    over the whole aperture: an edge would have to be resolved by the points, at several times
-    their number for the same ripple of the force.
-    """
-    close = jnp.ones_like(distance)
-    if contact.law.extent(pair) is None:
-        close = smooth_step((1 - distance / contact.cutoff) / contact.edge)
-    if contact.acting_aperture is None:
-        return close
-    limit = jnp.sin(0.5 * contact.acting_aperture) ** 2
-    cosine_a, cosine_b = cosines
-    inside = lambda c: smooth_step(1 - c**2 / limit)
-    # theta = pi is all space: no gate
-    gate = jnp.where(
-        limit > 1 - 10 * jnp.finfo(limit.dtype).eps, 1.0, inside(cosine_a) * inside(cosine_b)
-    )
-    return close * gate
+    force: Float[Array, ""]  # of its magnitudes [N]
+    limit: Float[Array, ""]  # of its limits [N]
+    power: Float[Array, ""]  # that it takes away [W]
 
 
 class PairForces(NamedTuple):
@@ -52,15 +35,11 @@ class PairForces(NamedTuple):
     `NearPairs.count` are zero.
     """
 
-    force: Float[Array, "j 3"]  # on the vertices [N]
-    derivative: Float[Array, "q 4 4 3 3"] | None  # of minus the force, vertex by vertex [N/m]
+    force: Float[Array, "j w"]  # on the vertices [N], and with friction moments [N m]
+    derivative: Float[Array, "q 4 4 w w"] | None  # of minus the force, vertex by vertex [N/m]
     smallest: Float[Array, ""]  # least d/D of the points that act; infinite without one
     total: Float[Array, ""]  # sum of the magnitudes of all forces between points [N]
-
-
-def vertices_of(pairs: NearPairs) -> tuple[Array, Array, Array, Array]:
-    """Indices of the four vertices of every pair."""
-    return pairs.first, pairs.first + 1, pairs.second, pairs.second + 1
+    rubbed: Rubbed | None = None  # by friction, if there is any
 
 
 @eqx.filter_custom_jvp
@@ -69,7 +48,7 @@ def forces_and_derivative(
     sites: Sites,
     pairs: NearPairs,
     vertices: Float[Array, "j 3"],
-    velocities: Float[Array, "j 3"],
+    rates: Float[Array, "j w"],
     by_velocity: Float[Array, ""],
 ) -> PairForces:
     """`pair_forces` with the derivative, at a cost that follows the number of pairs in use."""
@@ -83,11 +62,11 @@ def forces_and_derivative(
         return whole
 
     in_use = one_by_one(of(_pairs_in_use), together=(of(_nothing_near), of(_no_pairs)))
-    return in_use(vertices, arrays, sites, pairs, velocities, by_velocity)
+    return in_use(vertices, arrays, sites, pairs, rates, by_velocity)
 
 
-def _pairs_in_use(vertices, contact, sites, pairs, velocities, by_velocity) -> PairForces:
-    evaluate, rows, empty = _blocks(contact, sites, pairs, vertices, velocities, by_velocity)
+def _pairs_in_use(vertices, contact, sites, pairs, rates, by_velocity) -> PairForces:
+    evaluate, rows, empty = _blocks(contact, sites, pairs, vertices, rates, by_velocity)
 
     def body(i, found):
         now = evaluate(jax.tree.map(lambda leaf: leaf[i], rows))
@@ -100,19 +79,23 @@ def _pairs_in_use(vertices, contact, sites, pairs, velocities, by_velocity) -> P
         used = (pairs.count + BLOCK - 1) // BLOCK
         return _joined(pairs, vertices, lax.fori_loop(0, used, body, buffers))
 
-    none = lambda: _no_pairs(vertices, contact, sites, pairs, velocities, by_velocity)
+    none = lambda: _no_pairs(vertices, contact, sites, pairs, rates, by_velocity)
     return lax.cond(pairs.count > 0, some, none)
 
 
-def _no_pairs(vertices, contact, sites, pairs, velocities, by_velocity) -> PairForces:
+def _no_pairs(vertices, contact, sites, pairs, rates, by_velocity) -> PairForces:
     dtype = vertices.dtype
-    derivative = jnp.zeros((pairs.first.shape[0], 4, 4, 3, 3), dtype)
+    zero, width = jnp.zeros((), dtype), contact.width
     return PairForces(
-        jnp.zeros_like(vertices), derivative, jnp.asarray(jnp.inf, dtype), jnp.zeros((), dtype)
+        jnp.zeros((vertices.shape[0], width), dtype),
+        jnp.zeros((pairs.first.shape[0], 4, 4, width, width), dtype),
+        jnp.asarray(jnp.inf, dtype),
+        zero,
+        None if contact.friction is None else Rubbed(zero, zero, zero),
     )
 
 
-def _nothing_near(vertices, contact, sites, pairs, velocities, by_velocity) -> Bool[Array, ""]:
+def _nothing_near(vertices, contact, sites, pairs, rates, by_velocity) -> Bool[Array, ""]:
     return pairs.count == 0
 
 
@@ -127,7 +110,7 @@ def pair_forces(
     sites: Sites,
     pairs: NearPairs,
     vertices: Float[Array, "j 3"],
-    velocities: Float[Array, "j 3"],
+    rates: Float[Array, "j w"],
     by_velocity: Float[Array, ""] | None = None,
 ) -> PairForces:
     """Forces of all near pairs and, if `by_velocity` is given, their exact derivative.
@@ -141,7 +124,7 @@ def pair_forces(
     there are any; by the chord l t_a it is n P_a (n - (n.t_a) t_a)^T / l. Blocks of the list that
     are not in use are skipped.
     """
-    evaluate, rows, empty = _blocks(contact, sites, pairs, vertices, velocities, by_velocity)
+    evaluate, rows, empty = _blocks(contact, sites, pairs, vertices, rates, by_velocity)
     count = largest(pairs.count)
     skip = lambda _: empty
     # recomputed in a reverse pass: stored block by block, its values fill a hundred arrays
@@ -158,100 +141,115 @@ def _joined(pairs: NearPairs, vertices, found: PairForces) -> PairForces:
         None if found.derivative is None else flat(found.derivative),
         jnp.min(found.smallest),
         jnp.sum(found.total),
+        jax.tree.map(jnp.sum, found.rubbed),
     )
 
 
-def _blocks(contact, sites, pairs, vertices, velocities, by_velocity):
-    """What evaluates a block of pairs; the blocks (first place, vertices); an empty one's result.
+class _Slopes(NamedTuple):
+    """Derivatives of the force between the points of a block.
+
+    Attributes:
+        force: between points [N].
+        over: force/distance.
+        by_apart: by r, less `over` times the normal; velocities follow.
+        by_chords: by the chords that count.
+        friction: with its own.
+    """
+
+    force: Float[Array, "q a b"]
+    over: Float[Array, "q a b"]
+    by_apart: Float[Array, "3 q a b"]
+    by_chords: tuple[Float[Array, "3 q a b"], ...]
+    friction: strand_friction.Slopes | None
+
+
+def _slopes(contact, points: Points, by_velocity, dual: Dual | None) -> _Slopes:
+    magnitude = partial(points.magnitude, contact)
+    p, pull = jax.vjp(magnitude, *points.inputs)
+    acts, distance, n, w = points.acts, points.distance, points.passing.normal, points.passing[2]
+    p_d, p_c, *by_cosines = (jnp.where(acts, g, 0.0) for g in pull(jnp.ones_like(p)))
+    p = jnp.where(acts, p, 0.0)
+    over = p / distance
+    # numbers of the pairs of points beside vectors, whose components lead
+    p_d, p_c, opened = (x[None] for x in (p_d, p_c, points.opening))
+    across, by_chords = -p_c * (w - opened * n), ()
+    if points.tangents:
+        assert points.lengths is not None
+        p_a, p_b, c_a, c_b = (x[None] for x in (*by_cosines, *points.cosines))
+        ta, tb = points.tangents
+        size_a, size_b = (points.lengths[None, :, k, None, None] for k in (0, 1))
+        across = p_a * (ta - c_a * n) + p_b * (tb - c_b * n) - p_c * (w - opened * n)
+        by_chords = (p_a * (n - c_a * ta) / size_a, p_b * (n - c_b * tb) / size_b)
+    g = (p_d - by_velocity * p_c) * n + across / distance[None]
+    rubbed = None
+    if contact.friction is not None:
+        given = contact.friction, p, points.passing, distance, by_velocity, dual
+        rubbed = strand_friction.slopes(*given)
+    return _Slopes(p, over, g - over[None] * n, by_chords, rubbed)
+
+
+def _blocks(contact, sites, pairs, vertices, rates, by_velocity):
+    """What evaluates a block of pairs; the blocks (first place, vertices, dual); an empty result.
 
     Forces are those on the four vertices of every pair.
     """
-    count, screened = contact.points_per_segment, contact.acting_aperture is not None
-    part = (jnp.arange(count, dtype=vertices.dtype) + 0.5) / count
-    one, other = jnp.broadcast_arrays(part[:, None], part[None, :])
-    # x_b - x_a = sum_i mix[a, b, i] X_i over the four vertices
-    mix = jnp.stack([one - 1, -one, 1 - other, other], -1)
-    index = jnp.stack(vertices_of(pairs), 1)
-    room = index.shape[0]
-    padded = -(-room // BLOCK) * BLOCK
-    # filled up with a segment and itself, which does not act but has a length
-    filling = jnp.broadcast_to(jnp.asarray([0, 1, 0, 1], index.dtype), (padded - room, 4))
-    index = jnp.concatenate([index, filling])
-    at_a = lambda v, i: v[i[:, 0]][:, :, None]
-    at_b = lambda v, i: v[i[:, 2]][:, None, :]
 
     def evaluate(row):
-        first, index = row
-        # components lead: arrays with a last axis of three are slow on a CPU
-        valid = first + jnp.arange(BLOCK, dtype=jnp.int32) < pairs.count
-        s, mean = sites.arc_length, lambda v: 0.5 * (at_a(v, index) + at_b(v, index))
-        pair = PairProperties(
-            mean(sites.diameter), None if sites.mass is None else mean(sites.mass)
-        )
-        weight = lambda: sites.weigh(lambda v: at_a(v, index), lambda v: at_b(v, index))
-        acts = along(sites, at_a(s, index), at_b(s, index)) >= contact.excluded
-        between = lambda v: jnp.einsum("abi,qik->kqab", mix, v[index])
-        r, w = between(vertices), between(velocities)
-        squared = jnp.sum(r**2, 0)
-        acts = acts & valid[:, None, None] & (squared > 0)
-        # pairs that do not act are put at the cut-off, where everything is zero and smooth
-        distance = jnp.where(acts, jnp.sqrt(jnp.where(acts, squared, 1.0)), contact.cutoff)
-        n = jnp.where(acts[None], r / distance[None], 0.0)
-        opening = jnp.sum(n * w, 0)
-        cosines = ()
-        if screened:
-            corner = vertices[index]  # (q, 4, 3)
-            chords = corner[:, 1::2] - corner[:, ::2]
-            lengths = jnp.sqrt(jnp.sum(chords**2, -1))
-            t = jnp.moveaxis(chords / lengths[..., None], 2, 0)[..., None, None]
-            tangents = t[:, :, 0], t[:, :, 1]
-            cosines = tuple(jnp.sum(n * t, 0) for t in tangents)
-
-        def magnitude(d, c, *cosines):
-            psi = continued(contact.law, d, c, pair)
-            return psi * window(contact, d, pair, cosines) * weight()
-
-        inputs = (distance, -opening, *cosines)
+        first, index, dual = row
+        points = points_of(contact, sites, pairs, vertices, rates, (first, index))
+        mix, n, friction = points.mix, points.passing.normal, contact.friction
         if by_velocity is None:
-            p, h = jnp.where(acts, magnitude(*inputs), 0.0), None
+            p = jnp.where(points.acts, points.magnitude(contact, *points.inputs), 0.0)
+            h, rubbed = None, None
+            if friction is not None:
+                rubbed = strand_friction.traction(friction, p, points.passing)
         else:
-
-            def slopes():
-                p, pull = jax.vjp(magnitude, *inputs)
-                p_d, p_c, *by_cosines = (jnp.where(acts, g, 0.0) for g in pull(jnp.ones_like(p)))
-                p = jnp.where(acts, p, 0.0)
-                over = p / distance
-                # numbers of the pairs of points beside vectors, whose components lead
-                p_d, p_c, opened = (x[None] for x in (p_d, p_c, opening))
-                across, by_chords = -p_c * (w - opened * n), []
-                if screened:
-                    p_a, p_b, c_a, c_b = (x[None] for x in (*by_cosines, *cosines))
-                    ta, tb = tangents
-                    size_a, size_b = (lengths[None, :, k, None, None] for k in (0, 1))
-                    across = p_a * (ta - c_a * n) + p_b * (tb - c_b * n) - p_c * (w - opened * n)
-                    by_chords = [p_a * (n - c_a * ta) / size_a, p_b * (n - c_b * tb) / size_b]
-                g = (p_d - by_velocity * p_c) * n + across / distance[None]
-                return p, over, g - over[None] * n, *by_chords
-
-            point, vector = jnp.zeros_like(distance), jnp.zeros_like(n)
-            nothing = lambda: (point, point, *(vector for _ in range(3 if screened else 1)))
+            some = lambda: _slopes(contact, points, by_velocity, dual)
+            nothing = lambda: jax.tree.map(jnp.zeros_like, jax.eval_shape(some))
             # always so; but what a branch returns is stored, and XLA would otherwise evaluate it
             # anew for every one of the numbers below
-            p, over, g, *by_chords = lax.cond(first < pairs.count, slopes, nothing)
-            h = _by_vertices(mix, n, over, g, by_chords)
+            found = lax.cond(first < pairs.count, some, nothing)
+            p, h, rubbed = found.force, _by_vertices(mix, n, found), None
+            if found.friction is not None:
+                assert points.share is not None
+                by_load = _load_by(mix, n, found)
+                own = points.share, points.passing, found.friction
+                h = jnp.pad(h, 3 * ((0, 0),) + 2 * ((0, 3),))
+                h = h + strand_friction.by_vertices(mix, *own, by_load)
+                rubbed = jnp.moveaxis(found.friction.force, -1, 0)
         force = jnp.einsum("abi,kqab->qik", mix, p[None] * n)
-        ratio = jnp.min(jnp.where(p != 0, distance / pair.diameter, jnp.inf))
-        return PairForces(force, h, ratio, jnp.sum(jnp.abs(p)))
+        ratio = jnp.min(jnp.where(p != 0, points.distance / points.pair.diameter, jnp.inf))
+        total, sums = jnp.sum(jnp.abs(p)), None
+        if rubbed is not None:
+            assert points.share is not None and friction is not None
+            force = jnp.pad(force, ((0, 0), (0, 0), (0, 3)))
+            force = force + strand_friction.on_vertices(mix, points.share, points.passing, rubbed)
+            # a zero has no derivative of its magnitude
+            size = jnp.sqrt(lax.stop_gradient(jnp.sum(rubbed**2, 0)))
+            pressed = jnp.sum(jnp.maximum(p, 0.0))
+            power = -jnp.sum(rubbed * points.passing.slip)
+            sums = Rubbed(jnp.sum(size), friction.coefficient * pressed, power)
+        return PairForces(force, h, ratio, total, sums)
 
-    rows = jnp.arange(0, padded, BLOCK, dtype=jnp.int32), index.reshape(-1, BLOCK, 4)
-    zeros = lambda *shape: jnp.zeros(shape, vertices.dtype)
-    derivative = None if by_velocity is None else zeros(BLOCK, 4, 4, 3, 3)
-    empty = PairForces(zeros(BLOCK, 4, 3), derivative, zeros() + jnp.inf, zeros())
-    return evaluate, rows, empty
+    zeros, width = lambda *shape: jnp.zeros(shape, vertices.dtype), contact.width
+    derivative = None if by_velocity is None else zeros(BLOCK, 4, 4, width, width)
+    sums = None if contact.friction is None else Rubbed(zeros(), zeros(), zeros())
+    empty = PairForces(zeros(BLOCK, 4, width), derivative, zeros() + jnp.inf, zeros(), sums)
+    return evaluate, (*blocks_of(pairs), contact.dual), empty
 
 
-def _by_vertices(mix, n, over, g, by_chords) -> Float[Array, "q 4 4 3 3"]:
-    """Minus the derivative of a block's forces by its vertices, from those by distance and chords.
+def _load_by(mix, n, found: _Slopes) -> Float[Array, "q a b 4 3"]:
+    """Derivative of the force between points by displacements of the four vertices."""
+    g = jnp.moveaxis(found.by_apart + found.over[None] * n, 0, -1)
+    by = mix[None, :, :, :, None] * g[:, :, :, None, :]
+    if found.by_chords:
+        by_a, by_b = (jnp.moveaxis(v, 0, -1) for v in found.by_chords)
+        by = by + jnp.stack([-by_a, by_a, -by_b, by_b], 3)
+    return by
+
+
+def _by_vertices(mix, n, found: _Slopes) -> Float[Array, "q 4 4 3 3"]:
+    """Minus the derivative of a block's forces by its vertices, without friction.
 
     By vertex j the force on vertex i changes by minus the sum over the points of
     mix_i n (mix_j g + c_j)^T + mix_i mix_j over I, c_j that by the chord with an end at j, if any.
@@ -259,74 +257,73 @@ def _by_vertices(mix, n, over, g, by_chords) -> Float[Array, "q 4 4 3 3"]:
     block, points = n.shape[1], n.shape[2] * n.shape[3]
     mix = mix.reshape(points, 4)
     flat = lambda v: v.reshape(-1, block, points)
-    n, g = flat(n), flat(g)
+    n, g = flat(n), flat(found.by_apart)
     at_j = mix.T[:, None, None, :]
     by_j = at_j * g[None]
-    if by_chords:
-        by_a, by_b = (flat(v) for v in by_chords)
+    if found.by_chords:
+        by_a, by_b = (flat(v) for v in found.by_chords)
         by_j = by_j + jnp.stack([-by_a, by_a, -by_b, by_b])  # (j, l, q, x)
     left = jnp.einsum("ikqx->qikx", at_j * n[None]).reshape(block, 12, points)
     right = jnp.einsum("jlqx->qxjl", by_j).reshape(block, points, 12)
     outer = (left @ right).reshape(block, 4, 3, 4, 3)
     products = (mix[:, :, None] * mix[:, None, :]).reshape(points, 16)
-    across = (flat(over)[0] @ products).reshape(block, 4, 4, 1, 1)
+    across = (flat(found.over)[0] @ products).reshape(block, 4, 4, 1, 1)
     return -(jnp.swapaxes(outer, 2, 3) + across * jnp.eye(3, dtype=n.dtype)[None, None, None])
 
 
-def gather(pairs: NearPairs, force: Float[Array, "q 4 3"], vertices: int) -> Float[Array, "j 3"]:
+def gather(pairs: NearPairs, force: Float[Array, "q 4 w"], vertices: int) -> Float[Array, "j w"]:
     """Sum over the pairs at every vertex."""
     index = jnp.stack(vertices_of(pairs), 1)
-    return jnp.zeros((vertices, 3), force.dtype).at[index].add(force)
+    return jnp.zeros((vertices, force.shape[2]), force.dtype).at[index].add(force)
+
+
+def duals(
+    contact: Contact, sites: Sites, pairs: NearPairs, motion: NodeMotion, first: bool
+) -> Dual:
+    """The duals that Newton's iterations begin with, or that follow those of the contact.
+
+    Of the pairs of points, block by block, see `AbstractFriction.dual`.
+    """
+    vertices, rates = (interpolate(sites, x) for x in (motion.position, rates_of(contact, motion)))
+    friction, count = contact.friction, contact.points_per_segment
+    assert friction is not None
+    rows = (*blocks_of(pairs), contact.dual)
+
+    def of(row):
+        place, index, before = row
+        points = points_of(contact, sites, pairs, vertices, rates, (place, index))
+        p = jnp.where(points.acts, points.magnitude(contact, *points.inputs), 0.0)
+        if first:
+            return strand_friction.first_dual(friction, p, points.passing)
+        return strand_friction.next_dual(friction, before, p, points.passing)
+
+    def body(i, found):
+        now = of(jax.tree.map(lambda leaf: leaf[i], rows))
+        return jax.tree.map(lambda buffer, value: buffer.at[i].set(value), found, now)
+
+    zeros = lambda *shape: jnp.zeros((len(rows[0]), BLOCK * count**2, *shape), vertices.dtype)
+    nothing = Dual(zeros(3), zeros(3), zeros(1))
+    return lax.fori_loop(0, (pairs.count + BLOCK - 1) // BLOCK, body, nothing)
+
+
+def rates_of(contact: Contact, motion: NodeMotion) -> Float[Array, "nodes w"]:
+    """Of the nodes, what contact asks for: velocities, and with friction spins (inertial axes)."""
+    if contact.friction is None:
+        return motion.velocity
+    spin = rotations.rotate(motion.quaternion, motion.angular_velocity)
+    return jnp.concatenate([motion.velocity, spin], 1)
 
 
 def forces(
     contact: Contact,
-    rod: Rod,
     sites: Sites,
     pairs: NearPairs,
-    position: Float[Array, "nodes 3"],
-    velocity: Float[Array, "nodes 3"],
-) -> Float[Array, "nodes 3"]:
-    """Contact forces on the nodes [N], for a list of pairs found before."""
-    return _report(contact, rod, sites, pairs, position, velocity).force
+    motion: NodeMotion,
+) -> Float[Array, "nodes w"]:
+    """Contact forces on the nodes [N], for a list of pairs found before.
 
-
-class ContactReport(NamedTuple):
-    """Contact of one configuration.
-
-    Attributes:
-        force: on the nodes, inertial components [N].
-        total: sum of the magnitudes of all forces between points [N].
-        smallest: least d/D, distance over diameter, of the points that act; infinite without one.
-        overflow: pairs were left out; raise the contact's `capacities` or `pairs_per_segment`.
+    With friction its moments follow them (inertial axes) [N m].
     """
-
-    force: Float[Array, "nodes 3"]  # on the nodes [N]
-    total: Float[Array, ""]  # sum of the magnitudes of all forces between points [N]
-    smallest: Float[Array, ""]  # least d/D of the points that act; infinite without one
-    overflow: Bool[Array, ""]  # pairs were left out: raise the contact's capacities
-
-
-def _report(contact, rod, sites, pairs, position, velocity) -> ContactReport:
-    vertices, velocities = interpolate(sites, position), interpolate(sites, velocity)
-    found = pair_forces(contact, sites, pairs, vertices, velocities)
-    nodal = spread(sites, found.force, rod.elements + 1)
-    return ContactReport(nodal, found.total, found.smallest, pairs.overflow)
-
-
-def report(
-    contact: Contact,
-    rod: Rod,
-    position: Float[Array, "nodes 3"],
-    velocity: Float[Array, "nodes 3"],
-    closed: bool | Bool[Array, ""] = False,
-) -> ContactReport:
-    """Contact forces and the smallest gap of a configuration, by a search of its own.
-
-    Args:
-        closed: whether the rod's ends are at one place, see `Scene.closed`.
-    """
-    contact = contact.fitted(rod)
-    sites = sites_of(contact, rod, closed)
-    pairs = search(contact, sites, position)
-    return _report(contact, rod, sites, pairs, position, velocity)
+    rates = interpolate(sites, rates_of(contact, motion))
+    found = pair_forces(contact, sites, pairs, interpolate(sites, motion.position), rates)
+    return spread(sites, found.force, motion.position.shape[0])

@@ -68,10 +68,11 @@ def distant(
     graph: Graph,
     sites: Sites,
     count: Int[Array, ""],
-    derivative: Float[Array, "q 4 4 3 3"],
-    factor: Float[Array, "nodes 3 3"],
+    derivative: Float[Array, "q 4 4 w w"],
+    factor: Float[Array, "nodes w w"],
+    by_column: Float[Array, "nodes w w"] | None = None,
 ) -> Distant:
-    """The derivative of so many pairs by vertices as one by nodes, times a factor of a node."""
+    """The derivative of so many pairs by vertices as one by nodes, times factors of the nodes."""
 
     # beyond the list's end zeros are added to its first entry
     listed = whole_chunks(graph.entry), whole_chunks(derivative)
@@ -80,9 +81,10 @@ def distant(
         entry, values = (part(x, chunk) for x in listed)
         return block.at[entry].add(values, mode="drop")
 
-    block = jnp.zeros((graph.first.shape[0], 3, 3), derivative.dtype)
+    block = jnp.zeros((graph.first.shape[0], *derivative.shape[3:]), derivative.dtype)
     block = lax.fori_loop(0, chunks(count), added, block)
-    return Distant(graph.first, graph.second, block, graph.count, _stencils(sites), factor)
+    stencils = _stencils(sites)
+    return Distant(graph.first, graph.second, block, graph.count, stencils, factor, by_column)
 
 
 def _stencils(sites: Sites) -> Stencils:

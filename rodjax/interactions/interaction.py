@@ -77,11 +77,11 @@ class AbstractInteraction(eqx.Module):
         """Whether Newton's method needs a dual of it, see `AbstractFriction.dual`."""
         return False
 
-    def first_dual(self, rod: Rod, motion: NodeMotion) -> Any:
+    def first_dual(self, rod: Rod, motion: NodeMotion, found: Any) -> Any:
         """The dual that iterations begin with, for the field `dual`."""
         return None
 
-    def next_dual(self, rod: Rod, motion: NodeMotion) -> Any:
+    def next_dual(self, rod: Rod, motion: NodeMotion, found: Any) -> Any:
         """The dual after an iteration, asked of what has the one before."""
         return None
 

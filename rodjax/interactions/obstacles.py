@@ -296,12 +296,12 @@ class Obstacle(AbstractLoad):
     def rubs(self):
         return self.friction is not None
 
-    def first_dual(self, rod, motion):
+    def first_dual(self, rod, motion, found):
         if self.friction is None:
             return None
         return self.friction.dual(self.touch(rod, motion).rubbing)
 
-    def next_dual(self, rod, motion):
+    def next_dual(self, rod, motion, found):
         if self.friction is None or self.dual is None:
             return None
         return self.friction.next_dual(self.dual, self.touch(rod, motion).rubbing)

@@ -13,8 +13,9 @@ from rodjax.interactions.interaction import AbstractInteraction
 from rodjax.interactions.roles import Role
 from rodjax.interactions.screening import NearPairs
 from rodjax.interactions.sites import Sites, sites_of
-from rodjax.numerics import newton
+from rodjax.numerics import newton, rotations
 from rodjax.numerics.results import Result, join
+from rodjax.rods.state import NodeMotion, at_rest
 
 
 class FoundContact(NamedTuple):
@@ -47,8 +48,7 @@ class SelfContact(AbstractInteraction):
         return FoundContact(sites, checkpoint_name(pairs, newton.SOLUTION))
 
     def exerted(self, rod, motion, found: FoundContact):
-        at = motion.position, motion.velocity
-        return on_nodes(contact_forces.forces(self.contact, rod, *found, *at))
+        return on_nodes(contact_forces.forces(self.contact, *found, motion), motion)
 
     def stored(self, rod, motion, found: FoundContact) -> Float[Array, ""]:
         energy = contact_energy.stored(self.contact, *found, motion.position)
@@ -57,13 +57,28 @@ class SelfContact(AbstractInteraction):
     def lost(self, rod, motion, found: FoundContact, exerted):
         resting = exerted
         pair = PairProperties(found.sites.diameter, found.sites.mass)
-        if not ignores_approach(self.contact.law, pair):
-            still = motion._replace(velocity=jnp.zeros_like(motion.velocity))
+        rubs = self.contact.friction is not None
+        if rubs or not ignores_approach(self.contact.law, pair):
+            still = at_rest(*motion[:3])
             resting = self.exerted(rod, still, found)
         return exerted - jnp.where(self.conservative, resting, 0.0)
 
     def safe_fraction(self, rod, position, change, found: FoundContact):
         return screening.approach_limit(self.contact, *found, position, change)
+
+    @property
+    def rubs(self):
+        return self.contact.friction is not None
+
+    def first_dual(self, rod, motion, found: FoundContact):
+        if self.contact.friction is None:
+            return None
+        return contact_forces.duals(self.contact, *found, motion, first=True)
+
+    def next_dual(self, rod, motion, found: FoundContact):
+        if self.contact.friction is None:
+            return None
+        return contact_forces.duals(self.contact, *found, motion, first=False)
 
     def verdict(self, rod, before, after, found: FoundContact):
         passed = screening.passage_suspected(*found, before, after)
@@ -73,6 +88,10 @@ class SelfContact(AbstractInteraction):
         )
 
 
-def on_nodes(force: Float[Array, "nodes 3"]) -> Float[Array, "nodes 6"]:
-    """Wrenches of forces alone."""
-    return jnp.concatenate([force, jnp.zeros_like(force)], 1)
+def on_nodes(acting: Float[Array, "nodes w"], motion: NodeMotion) -> Float[Array, "nodes 6"]:
+    """Wrenches of forces, and of moments in inertial axes if there are any."""
+    force = acting[:, :3]
+    if acting.shape[1] == 3:
+        return jnp.concatenate([force, jnp.zeros_like(force)], 1)
+    moment = rotations.rotate_inverse(motion.quaternion, acting[:, 3:])
+    return jnp.concatenate([force, moment], 1)

@@ -79,8 +79,8 @@ class Ledger(NamedTuple):
             store energy exert by motion.
         projection_loss: kinetic energy lost where a constraint began.
         contact_energy: stored between the strands, and by such loads.
-        contact_loss: to the damping of the contact law and of such loads; all its work where
-            nothing is stored.
+        contact_loss: to the damping of the contact law and of such loads, and to friction; all its
+            work where nothing is stored.
         actuation_work: done by the schedule of the natural curvature, and by what else changes a
             material in time; None where there is neither.
         material_loss: of the rod's material, by its strain rates; None of a linear rod.

@@ -11,8 +11,8 @@ from jaxtyping import Array, Float
 from rodjax.dynamics.run import Run
 from rodjax.inputs.argument_types import AnyArray
 from rodjax.inputs.validation import all_known
-from rodjax.interactions import contact_forces
-from rodjax.interactions.contact_forces import ContactReport
+from rodjax.interactions import contact_report
+from rodjax.interactions.contact_report import ContactReport
 from rodjax.interactions.obstacles import ObstacleContact
 from rodjax.measuring import energy
 from rodjax.measuring.blocks import over_states
@@ -156,11 +156,13 @@ def _touching(scene: Scene, state: State, load: int) -> ObstacleContact:
 
 @over_states
 def _contacts(s, scene):
-    found = contact_forces.report(scene.contact, scene.rod, s.position, s.velocity, scene.closed)
+    spin = rotations.rotate(s.quaternion, s.angular_velocity)
+    at = scene.contact, scene.rod, s.position, s.velocity
+    found = contact_report.report(*at, scene.closed, spin)
     # what is not a number is near nothing, but not for that free of forces
     unknown = 0 * jnp.sum(s.position)
-    force, total, smallest = (x + unknown for x in (found.force, found.total, found.smallest))
-    return ContactReport(force, total, smallest, found.overflow)
+    known = jax.tree.map(lambda x: x + unknown, found._replace(overflow=None))
+    return known._replace(overflow=found.overflow)
 
 
 def stretch_error(rod: Rod, state: State) -> Float[Array, ""]:

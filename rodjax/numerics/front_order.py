@@ -3,8 +3,8 @@
 A chain folded back on itself, or wound up with itself, is a narrow strip: with the nodes taken
 about in the order in which a search along all connections meets them (Cuthill & McKee 1969), each
 is connected to a few of those before it. Of the nine unknowns of a node three alone touch far
-nodes. So a node has a place for these in a window that moves along the order, and a seat for the
-other six only while it is the neighbour of an eliminated node.
+nodes, or six where strands rub. So a node has a place for these in a window that moves along the
+order, and a seat for the others only while it is the neighbour of an eliminated node.
 """
 
 from typing import NamedTuple
@@ -13,7 +13,7 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool, Int
 
-REACHING, OWN = 3, 6  # unknowns of a node that touch far nodes, and that do not
+BLOCK = 9  # unknowns of a node
 
 
 class FrontSize(NamedTuple):
@@ -21,16 +21,22 @@ class FrontSize(NamedTuple):
 
     window: int  # nodes whose first unknowns it holds, besides the last node's
     seats: int  # nodes whose other unknowns it holds
+    reaching: int = 3  # unknowns of a node that touch far nodes, its first
+
+    @property
+    def own(self) -> int:
+        """Unknowns of a node that touch its neighbours alone."""
+        return BLOCK - self.reaching
 
     @property
     def seated_from(self) -> int:
         """Where the seats begin."""
-        return REACHING * (self.window + 1)
+        return self.reaching * (self.window + 1)
 
     @property
     def unknowns(self) -> int:
         """Rows and columns of the front."""
-        return self.seated_from + OWN * self.seats
+        return self.seated_from + self.own * self.seats
 
 
 class Order(NamedTuple):

@@ -16,9 +16,7 @@ from jaxtyping import Array, Float, Int
 
 from rodjax.numerics.block_tridiagonal import BlockTridiagonal
 from rodjax.numerics.chunks import CHUNK, chunks, part, whole_chunks
-from rodjax.numerics.front_order import OWN, REACHING, FrontSize, Order
-
-BLOCK = REACHING + OWN
+from rodjax.numerics.front_order import BLOCK, FrontSize, Order
 
 
 class Stencils(NamedTuple):
@@ -32,16 +30,17 @@ class Stencils(NamedTuple):
 class Distant(NamedTuple):
     """What the matrix has between the first unknowns of nodes anywhere.
 
-    Blocks between two points each, put on the nodes of both by their weights, times the factor of
-    the row's node; entries for the same two nodes are added.
+    Blocks between two points each, put on the nodes of both by their weights, times the factors of
+    the row's and the column's node; entries for the same two nodes are added.
     """
 
     first: Int[Array, " k"]  # point whose rows; beyond `count` meaningless but valid, as the second
     second: Int[Array, " k"]
-    block: Float[Array, "k 3 3"]
+    block: Float[Array, "k w w"]
     count: Int[Array, ""]
     stencils: Stencils
-    factor: Float[Array, "n 3 3"]
+    factor: Float[Array, "n w w"]
+    by_column: Float[Array, "n w w"] | None = None  # from the right; None: none is needed
 
 
 class FrontalFactors(eqx.Module):
@@ -114,8 +113,8 @@ def _windows(order: Order, size: FrontSize) -> Int[Array, " n"]:
 def _slots(order: Order, size: FrontSize) -> Int[Array, "n 9"]:
     """Where the unknowns of every node stand in the front."""
     count = lambda number: jnp.arange(number, dtype=jnp.int32)[None]
-    window = REACHING * _windows(order, size)[:, None] + count(REACHING)
-    seat = OWN * order.seat[:, None] + count(OWN) + size.seated_from
+    window = size.reaching * _windows(order, size)[:, None] + count(size.reaching)
+    seat = size.own * order.seat[:, None] + count(size.own) + size.seated_from
     return jnp.concatenate([window, seat], 1)
 
 
@@ -177,6 +176,8 @@ def _entries(blocks, distant, order, slots, size) -> Float[Array, "n 2 9 s"]:
             row, column = node[one, i], node[other, j]
             product = (weight[one, i] * weight[other, j])[:, None, None]
             block = product * (distant.factor[row] @ blocks)
+            if distant.by_column is not None:
+                block = block @ distant.by_column[column]
             turn, side, later, block = dealt(row, column, block)
             turn = jnp.where(used, turn, nodes)
             return far.at[turn, side, windows[later]].add(block, mode="drop")
@@ -184,7 +185,8 @@ def _entries(blocks, distant, order, slots, size) -> Float[Array, "n 2 9 s"]:
         return lax.fori_loop(0, stencil**2, layer, far)
 
     windows = _windows(order, size)
-    far = jnp.zeros((nodes, 2, size.window + 1, REACHING, REACHING), dtype)
+    reaching = size.reaching
+    far = jnp.zeros((nodes, 2, size.window + 1, reaching, reaching), dtype)
     far = lax.fori_loop(0, chunks(distant.count), added, far)
-    far = jnp.swapaxes(far, 2, 3).reshape(nodes, 2, REACHING, size.seated_from)
-    return out.at[:, :, :REACHING, : size.seated_from].add(far)
+    far = jnp.swapaxes(far, 2, 3).reshape(nodes, 2, reaching, size.seated_from)
+    return out.at[:, :, :reaching, : size.seated_from].add(far)

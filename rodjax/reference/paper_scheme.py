@@ -50,7 +50,7 @@ from rodjax.dynamics.given_steps import onto_switches, until_failure
 from rodjax.dynamics.run import Run
 from rodjax.dynamics.stepping import StepInfo, no_info
 from rodjax.inputs.validation import as_float, check_positive, known
-from rodjax.interactions import contact_forces
+from rodjax.interactions import contact_report
 from rodjax.interactions.loads import Gravity, LinearDrag, MorisonDrag
 from rodjax.numerics import newton, results, rotations
 from rodjax.numerics.compilation import compiled
@@ -167,7 +167,7 @@ def paper_step(
     push, code = jnp.zeros_like(state.position), jnp.asarray(Result.SUCCESS, jnp.int32)
     if scene.contact is not None:
         at = state.position, state.velocity
-        found = contact_forces.report(scene.contact, rod, *at, scene.closed)
+        found = contact_report.report(scene.contact, rod, *at, scene.closed)
         push = found.force / rod.node_length[:, None]
         code = jnp.where(found.overflow, Result.CAPACITY_OVERFLOW, Result.SUCCESS)
     equations = PaperEquations(

@@ -177,6 +177,13 @@ class Scene(eqx.Module):
         return None if self.contact is None else SelfContact(self.contact)
 
     @property
+    def resting(self) -> "Scene":
+        """The scene without what acts on motion alone: friction of strands on each other."""
+        if self.contact is None or self.contact.friction is None:
+            return self
+        return eqx.tree_at(lambda scene: scene.contact.friction, self, None)
+
+    @property
     def interactions(self) -> tuple[AbstractInteraction, ...]:
         """What acts on the rod: its loads, then contact with itself if there is any."""
         own = self.self_contact
@@ -212,12 +219,19 @@ class Scene(eqx.Module):
     @property
     def rubs(self) -> bool:
         """Whether Newton's method needs duals, see `AbstractFriction.dual`."""
-        return any(load.rubs for load in self.loads)
+        return any(one.rubs for one in self.interactions)
 
     def with_duals(self, duals: tuple[Any, ...]) -> "Scene":
-        """The scene whose loads have these duals."""
-        where = lambda scene: [load.dual for load in scene.loads if load.rubs]
-        values = [dual for load, dual in zip(self.loads, duals, strict=True) if load.rubs]
+        """The scene whose interactions have these duals."""
+
+        rubbing = [i for i, load in enumerate(self.loads) if load.rubs]
+        own = len(duals) > len(self.loads) and duals[-1] is not None
+
+        def where(scene):
+            found = [scene.loads[i].dual for i in rubbing]
+            return [*found, scene.contact.dual] if own else found
+
+        values = [duals[i] for i in rubbing] + ([duals[-1]] if own else [])
         return eqx.tree_at(where, self, values, is_leaf=lambda leaf: leaf is None)
 
     def remembering(self, state: State) -> State:
