@@ -260,7 +260,7 @@ def test_derivatives_while_it_slides_and_when_it_sticks():
 @pytest.mark.slow
 @pytest.mark.parametrize("slip_speed", [1e-2, 1e-4, 1e-6])
 def test_sticking_starts_do_not_fail(slip_speed):
-    """A hundred pushes of strands pressed together; without the duals ten fail at the slower two."""
+    """A hundred pushes of strands pressed together; without duals ten fail at the slower two."""
     scene = crossing(rx.SlidingFriction(0.5, slip_speed))
     state = rx.start(scene)
     advance = jax.jit(lambda state: rx.step(scene, state, jnp.asarray(1e-3)))
