@@ -6,6 +6,8 @@ import json
 import re
 import shutil
 import subprocess
+import sys
+from pathlib import Path
 
 import equinox as eqx
 import jax
@@ -255,6 +257,14 @@ def test_values_survive_packing():
     assert colouring.bounds(one) == (0.0, 4.0)
 
 
+def test_lumps_are_where_they_are():
+    rod = rx.straight_rod(1.0, 4, UNIT_SECTION)
+    lumps = rx.Lump(-1, 1.0, offset=(0.0, 0.1, 0.0)), rx.Lump(2, 1.0, volume=np.pi / 6)
+    last, ball = bodies.lumps(rx.Scene(rod, lumps=lumps))
+    assert last == {"node": 4, "offset": [0.0, 0.1, 0.0], "radius": None}
+    assert ball["node"] == 2 and ball["radius"] == pytest.approx(0.5)
+
+
 def test_no_hold_is_no_mark():
     assert bodies.holds(rx.Scene(rx.straight_rod(1.0, 4, UNIT_SECTION))) == []
 
@@ -322,3 +332,11 @@ def test_a_browser_tells_what_is_not_there(run, scene, tmp_path):
     none = dataclasses.replace(run, states=jax.tree.map(lambda x: x[:0], run.states))
     words = browsed(rx.view(scene, none), tmp_path, "", "--dump-dom")
     assert 'data-ready="empty"' in words and ">The run holds no state<" in words
+
+
+@pytest.mark.slow
+def test_the_page_of_the_docs_is_made(tmp_path):
+    text = (Path(rx.__file__).parents[1] / "docs" / "looking.md").read_text()
+    code = re.search(r"```python\n(.*?)```", text, re.DOTALL)[1]
+    subprocess.run([sys.executable, "-W", "error", "-c", code], cwd=tmp_path, check=True)
+    assert 1e5 < (tmp_path / "run.html").stat().st_size < 1e6

@@ -43,6 +43,19 @@ def _kind(held: Held, time: float | None) -> dict[str, Any]:
     return {"kind": "plate" if held_turns else "ball", "axis": axis}
 
 
+def lumps(scene: Scene) -> list[dict[str, Any]]:
+    """Bodies fixed to nodes: their centres in the frames of these, and radii where known [m]."""
+    found = []
+    for lump in scene.rod.lumps:
+        offset = np.zeros(3) if lump.offset is None else np.asarray(lump.offset, float)
+        # that of the ball which displaces as much
+        volume = None if lump.volume is None else float(lump.volume)
+        radius = None if not volume else float(np.cbrt(3 * volume / (4 * np.pi)))
+        node = lump.place(scene.rod.parts)
+        found.append({"node": node, "offset": offset.tolist(), "radius": radius})
+    return found
+
+
 def obstacles(
     scene: Scene,
     times: Float[np.ndarray, " k"],

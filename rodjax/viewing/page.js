@@ -506,6 +506,14 @@
         paint(boxMesh, rail, [0.45, 0.5, 0.56, 1]);
       }
     }
+    for (const lump of data.lumps) {
+      const frame = directors(now.frame[lump.node]);
+      let centre = point(lump.node);
+      frame.forEach((d, k) => { centre = add(centre, d, lump.offset[k]); });
+      const thick = state.thickness * data.diameter[Math.min(lump.node, nodes - 2)];
+      const size = lump.radius || Math.max(0.015 * data.size, 0.9 * thick);
+      paint(ballMesh, placed(frame, centre, [size, size, size]), [0.72, 0.5, 0.3, 1]);
+    }
     gl.enable(gl.BLEND);
     gl.blendFunc(gl.SRC_ALPHA, gl.ONE_MINUS_SRC_ALPHA);
     gl.depthMask(false);

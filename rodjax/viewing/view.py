@@ -94,7 +94,8 @@ def view(
 
     Tubes are of the rods' own diameters, or so many times as thick as the page says; the black
     stripe follows the director a_1 and shows twist. Held nodes are plates (on a rail where they may
-    slide), pinned ones balls. While it plays, nodes go straight from one saved state to the next.
+    slide), pinned ones balls, and so are lumps, of their volume if they have one. While it plays,
+    nodes go straight from one saved state to the next.
 
     Args:
         scene: of the run, which does not keep it; or a path, or what `storage.load` gave, alone.
@@ -259,6 +260,7 @@ def _data(
         "measures": [_levels(measure, rod.elements) for measure in found],
         "colours": colouring.COLOURS,
         "holds": bodies.holds(scene),
+        "lumps": bodies.lumps(scene),
         "bodies": drawn,
         "units": {"length": units.length, "time": units.time},
         "axes": axes.tolist(),
