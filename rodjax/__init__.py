@@ -106,6 +106,7 @@ from rodjax.scenes.scene import Scene as Scene
 
 if TYPE_CHECKING:
     from rodjax.dynamics import windows as windows
+    from rodjax.exporting.labelled import to_xarray as to_xarray
     from rodjax.files import plot as plot
     from rodjax.files import storage as storage
     from rodjax.files import sweep as sweep
@@ -172,7 +173,9 @@ _FITTING = {
     "SoftL1": "robust",
 }
 
+# and where in other folders names are that few need
 _VIEWING = {"RunView": "view", "view": "view"}
+_EXPORTING = {"to_xarray": "labelled"}
 
 __all__ = [
     "AbstractEnd",
@@ -281,6 +284,7 @@ __all__ = [
     "storage",
     "straight_rod",
     "sweep",
+    "to_xarray",
     "topology",
     "units",
     "vibration",
@@ -346,7 +350,8 @@ if not any(type(finder).__qualname__ == _Modules.__qualname__ for finder in sys.
 
 def __getattr__(name: str):
     """What the import of the package leaves out: public modules (HDF5 takes a tenth), and fits."""
-    for folder, modules in (("fitting", _FITTING), ("viewing", _VIEWING)):
+    later = {"fitting": _FITTING, "viewing": _VIEWING, "exporting": _EXPORTING}
+    for folder, modules in later.items():
         if name in modules:
             module = importlib.import_module(f"{__name__}.{folder}.{modules[name]}")
             globals()[name] = found = getattr(module, name)

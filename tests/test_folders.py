@@ -24,6 +24,7 @@ ORDER = [
     "fitting",
     "files",
     "viewing",
+    "exporting",
     "reference",
 ]
 # siblings that do not know each other

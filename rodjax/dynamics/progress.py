@@ -28,11 +28,13 @@ def showing(
         return
     from tqdm import tqdm  # not with the package: it takes a while
 
-    line = "{percentage:3.0f}%|{bar:30}| {desc} [{elapsed}<{remaining}]"
+    line = "{percentage:3.0f}%|{bar:30}| {desc} [{elapsed}]"
     words = f"t = {begun:.4g} of {until:.4g}"
     with tqdm(total=until - begun, desc=f"{words}, compiling", bar_format=line) as bar:
 
         def show(time: float, steps: int) -> None:
+            if time - begun > 0.02 * (until - begun):  # before it would be a guess
+                bar.bar_format = line.replace("{elapsed}", "{elapsed}<{remaining}")
             bar.set_description_str(f"t = {time:.4g} of {until:.4g}, {steps} steps", refresh=False)
             bar.update(time - begun - bar.n)
 
