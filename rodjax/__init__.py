@@ -70,6 +70,7 @@ from rodjax.interactions.loads import LinearDrag as LinearDrag
 from rodjax.interactions.loads import MorisonDrag as MorisonDrag
 from rodjax.interactions.loads import PointLoad as PointLoad
 from rodjax.interactions.obstacles import Obstacle as Obstacle
+from rodjax.interactions.point_drag import PointDrag as PointDrag
 from rodjax.interactions.roles import Role as Role
 from rodjax.interactions.shapes import AbstractShape as AbstractShape
 from rodjax.interactions.shapes import Cylinder as Cylinder
@@ -101,6 +102,7 @@ from rodjax.rods.rod import Rod as Rod
 from rodjax.rods.section import Section as Section
 from rodjax.rods.section import circular_section as circular_section
 from rodjax.rods.state import State as State
+from rodjax.scenes.body import Body as Body
 from rodjax.scenes.placing import placing as placing
 from rodjax.scenes.scene import Scene as Scene
 
@@ -187,6 +189,7 @@ __all__ = [
     "AbstractShape",
     "Ball",
     "Barrier",
+    "Body",
     "Clamped",
     "Constant",
     "Contact",
@@ -229,6 +232,7 @@ __all__ = [
     "Pinned",
     "Plane",
     "Point",
+    "PointDrag",
     "PointLoad",
     "Positive",
     "Result",

@@ -173,6 +173,27 @@ CATALOGUE = {
             "volume": (None, optional(not_negative)),
         },
     ),
+    "Body": (
+        lambda **k: rx.Scene(ROD, rx.Clamped(), bodies=(rx.Body(**k),)),
+        {
+            "mass": (0.5, positive),
+            "inertia": ((1.0, 1.0, 1.0), lambda v: False if v is None else None),
+            "position": ((0.0, 1.0, 0.0), array_of((3,))),
+            "quaternion": ((1.0, 0.0, 0.0, 0.0), lambda v: None if array_of((4,))(v) else False),
+            "volume": (None, optional(not_negative)),
+            "end": (rx.Free(), instance(rx.AbstractEnd)),
+        },
+    ),
+    "PointDrag": (
+        lambda **k: scene(loads=(rx.PointDrag(-1, **k),)),
+        {
+            "linear": (1.0, not_negative),
+            "quadratic": (1.0, not_negative),
+            "rotational": (0.1, not_negative),
+            "current": (None, optional(array_of((3,)))),
+            "offset": (None, optional(array_of((3,)))),
+        },
+    ),
     "Constant": (
         rx.Constant,
         {

@@ -147,6 +147,8 @@ def triple_of(low, strict, may_lack):
             return may_lack
         if isinstance(value, list | tuple) and any(callable(part) for part in value):
             return None
+        if isinstance(value, range):  # a sequence of three, which may be asked for as a tuple
+            return None
         three = array_of((3,), low, strict=strict)(value)
         return array_of((N, 3), low, strict=strict)(value) if three is False else three
 

@@ -10,7 +10,7 @@ import rodjax as rx
 CLASSES = [
     *(rx.Rod, rx.Section, rx.Scene, rx.Turn, rx.Free, rx.Clamped, rx.Pinned, rx.Slider),
     rx.Support,
-    rx.Lump,
+    *(rx.Lump, rx.Body, rx.PointDrag),
     *(rx.Switched, rx.Constant, rx.PiecewiseLinear, rx.PiecewiseLinearRate, rx.Smooth),
     *(rx.Function, rx.Gravity, rx.MorisonDrag, rx.LinearDrag, rx.DistributedLoad, rx.PointLoad),
     *(rx.GeneralizedAlpha, rx.StepControl),

@@ -1,4 +1,5 @@
-"""Joints between two points of rods: what they take away of the motion of one against the other.
+"""Joints between two points of rods or bodies: what they take away of the motion of one against
+the other.
 
 The two points come together in a joint, and its second frame is where the placing of the rods has
 it from the first. With t the vector from the first point to the second (inertial axes, those of the
@@ -14,34 +15,48 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from rodjax.constraints.ends import check_axis, unit_vector
-from rodjax.inputs.validation import as_float, check_instance, check_integer, check_numbers, shown
+from rodjax.inputs.validation import (
+    as_float,
+    check_instance,
+    check_integer,
+    check_numbers,
+    given,
+    shown,
+)
 from rodjax.numerics import rotations
 
 Frame = tuple[Float[Array, "3"], Float[Array, "4"]]  # position [m], unit quaternion
 
 
 class Point(eqx.Module):
-    """A point that moves with a node.
+    """A point that moves with a node of a rod, or with a body.
 
     Attributes:
         node: its number, from 0 at s = 0 of its rod; negative from s = L (-1 is the last).
         rod: which of the rods of the scene, from 0.
-        offset: from the node, in the body frame there [m].
+        offset: from the node, or from the body's centre of mass, in the body frame there [m].
+        body: which of the scene's bodies, from 0; None for a rod. Node and rod then say nothing.
     """
 
-    node: int = eqx.field(static=True)
+    node: int = eqx.field(static=True, default=0)
     rod: int = eqx.field(static=True, default=0)
     offset: Float[Array, "3"] = eqx.field(converter=as_float, default=(0.0, 0.0, 0.0))
+    body: int | None = eqx.field(static=True, default=None)
 
     def __check_init__(self):
         check_integer(-100_000, 100_000, node=self.node)
         check_integer(0, 10_000, rod=self.rod)
+        check_integer(0, 10_000, **given(body=self.body))
+        if self.body is not None and (self.node, self.rod) != (0, 0):
+            raise ValueError("body: a point is on a body or at a node of a rod; give one of them")
         check_numbers(offset=self.offset)
         if jnp.shape(self.offset) != (3,):
             raise ValueError(f"offset: give three components, got {shown(self.offset)}")
 
     def place(self, parts) -> int:
-        """The node among those of the scene, of rods that stand in these parts."""
+        """The node among those of the scene, of rods and bodies that stand in these parts."""
+        if self.body is not None:
+            return [part.first for part in parts if part.first == part.last][self.body]
         part = parts[self.rod]
         return self.node + (part.last + 1 if self.node < 0 else part.first)
 
@@ -55,7 +70,7 @@ class AbstractJoint(eqx.Module):
     """What two points cannot do against each other.
 
     Attributes:
-        first, second: the points, of one rod or of two.
+        first, second: the points, of rods or bodies.
     """
 
     first: eqx.AbstractVar[Point]
@@ -106,7 +121,7 @@ class Weld(AbstractJoint):
     """Both points and frames stay together: a rod's last node welded to its first makes a ring.
 
     Attributes:
-        first, second: the points, of one rod or of two.
+        first, second: the points, of rods or bodies.
     """
 
     first: Point
@@ -127,7 +142,7 @@ class Ball(AbstractJoint):
     """Both points stay together, and their frames turn freely.
 
     Attributes:
-        first, second: the points, of one rod or of two.
+        first, second: the points, of rods or bodies.
     """
 
     first: Point
@@ -148,7 +163,7 @@ class Hinge(AbstractJoint):
     """Both points stay together, and their frames turn against each other about an axis alone.
 
     Attributes:
-        first, second: the points, of one rod or of two.
+        first, second: the points, of rods or bodies.
         axis: in the first point's body frame, of any length.
     """
 
@@ -175,7 +190,7 @@ class Slide(AbstractJoint):
     """The second point slides along an axis through the first, and does not turn.
 
     Attributes:
-        first, second: the points, of one rod or of two.
+        first, second: the points, of rods or bodies.
         axis: in the first point's body frame, of any length.
     """
 

@@ -42,7 +42,7 @@ def warn_if_unexcited(scene: Scene, run: Run) -> None:
         return
     pressed = [
         found
-        for rod, state in zip(scene.rods, states_of(final), strict=True)
+        for rod, state in zip(scene.rods, states_of(final), strict=False)  # then the bodies'
         if (found := _pressed(rod, state)) is not None
     ]
     if not pressed:

@@ -226,7 +226,8 @@ def _first_balances(free: CoupledSystem, node: int) -> Float[Array, "6 nodes 9"]
     units = jnp.zeros((6, *blocks.diagonal.shape[:2]), eye.dtype).at[:, node].set(eye)
     rows = jnp.zeros_like(units)
     rows = rows.at[:, node].set(blocks.diagonal[node, 3:])
-    rows = rows.at[:, node + 1].set(blocks.upper[node, 3:])
+    if node + 1 < rows.shape[1]:
+        rows = rows.at[:, node + 1].set(blocks.upper[node, 3:])
     if coupling is not None:
         rows = rows + jax.vmap(coupling.transpose().multiply)(units)
     return rows

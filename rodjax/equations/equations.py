@@ -348,10 +348,12 @@ class Equations(eqx.Module, Generic[Scheme]):
 
 
 def anchors_of(scene: Scene) -> tuple[Anchor, ...]:
-    """The first nodes of the scene's rods among what is held."""
-    # both ends of the scene come first, then the last end of a rod and the first of the next
-    ends = (*scene.ends, *scene.inner_ends)
-    return tuple(Anchor(i, ends[i].clamped) for i in (0, *range(3, len(ends), 2)))
+    """The first nodes of the scene's rods, and its bodies, among what is held."""
+    # both ends of the scene come first, then the last end of a rod and the first of the next; each
+    # of the bodies is a first node by itself
+    ends, rods = (*scene.ends, *scene.inner_ends), len(scene.rod.strands)
+    firsts = (0, *range(3, 2 * rods, 2), *range(2 * rods, len(ends)))
+    return tuple(Anchor(i, ends[i].clamped) for i in firsts)
 
 
 def _at_ends(scene: Scene, anchors: tuple[Anchor, ...]) -> bool:

@@ -44,7 +44,7 @@ def least_hold(scene: Scene, state: State) -> Float[Array, ""]:
     kinematics = strains(rod, state.position, rotations.normalize(state.quaternion))
     shear = constraint_tangent(rod, kinematics).constraint_spin
     total = jnp.sum(rod.length)
-    share, weight = rod.length / total, jnp.sqrt(rod.node_length / total)[:, None]
+    share, weight = rod.length / total, jnp.sqrt(rod.weighing_length / total)[:, None]
     give = 0.0 if rod.compliance is None else (rod.compliance > 0).astype(share.dtype)
     nodes = scene.held_nodes
 

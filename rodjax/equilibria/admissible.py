@@ -124,7 +124,7 @@ def constrained(
     both = projectors(scene, state.time)
     rod, compliance = scene.rod, scene.rod.compliance
     length = jnp.sum(rod.length)
-    norm = jnp.repeat(rod.node_length / length, 3)
+    norm = jnp.repeat(rod.weighing_length / length, 3)
     norm = jnp.concatenate([jnp.zeros((3 * len(rod.parts),), norm.dtype), norm])
     if compliance is not None:
         # components without compliance stay put: a spring far stiffer than all else holds them

@@ -9,7 +9,7 @@ from rodjax.scenes.scene import Scene
 def moving_weight(scene: Scene) -> Float[Array, "nodes 6"]:
     """Weights of the norm of motions: the integral of |displacement|^2/L^2 + |spin|^2 [1/m, m]."""
     rod = scene.rod
-    spin = jnp.repeat(rod.node_length[:, None], 3, 1)
+    spin = jnp.repeat(rod.weighing_length[:, None], 3, 1)
     return jnp.concatenate([spin / jnp.sum(rod.length) ** 2, spin], 1)
 
 

@@ -70,6 +70,10 @@ _UNKNOWN, _NOT_COUNTED = 2**30, -1
 ACCEPT, LEAVE_EXCITED, LEAVE = 0, 1, 2
 
 
+# Of the elements, and of the joints: None without.
+Forces = tuple[Float[Array, "n 3"], Float[Array, "j 6"] | None]
+
+
 class Path(NamedTuple):
     """Where the path has come to: x solves the equations at `reached` from `reference`."""
 
@@ -92,7 +96,7 @@ class _Descent(NamedTuple):
     active: Bool[Array, ""]
     target: Float[Array, ""]
     reference: Reference
-    force: Float[Array, "n 3"]
+    forces: Forces
     resistance: Float[Array, ""]  # sigma [N]
     free: Bool[Array, ""]  # whether the next step is without resistance
     steps: Int[Array, ""]
@@ -158,12 +162,13 @@ def follow(
         behind = equations(path.reached, path.reference, path.memory)
         here = _configuration(behind, path.x)
         memory = None if path.memory is None else behind.scene.next_memory(behind.motion(path.x))
-        reference, force = pick((descent.reference, descent.force), here)
+        reference, forces = pick((descent.reference, descent.forces), here)
         sigma = jnp.where(descent.active & ~descent.free, descent.resistance, 0.0)
         trial = equations(target, reference, memory, sigma, path.repeats.astype(path.x.dtype))
         # the first time round only the start's modes are counted
         most = jnp.where(opening, 0, max_iterations)
-        guess = trial.guess(force, state.joints)
+        # a body hangs by the force of its joint alone, which must be there from the first
+        guess = trial.guess(*forces)
         if trial.scene.rubs:
             x, solved = newton.iterate_dual(trial, guess, tolerance, most)
         else:
@@ -228,7 +233,7 @@ def follow(
             keep(memory, path.memory),
         )
         ahead = _configuration(trial, x)
-        ahead = jax.tree.map(lambda a, b: jnp.where(good, a, b), ahead, (reference, force))
+        ahead = jax.tree.map(lambda a, b: jnp.where(good, a, b), ahead, (reference, forces))
         ahead = jax.tree.map(
             lambda a, b: jnp.where(disturb, a, b), (_disturbed(ahead[0]), ahead[1]), ahead
         )
@@ -239,7 +244,7 @@ def follow(
             active=begin | (descent.active & ~advance & ~stay),
             target=jnp.where(begin, target, descent.target),
             reference=ahead[0],
-            force=ahead[1],
+            forces=ahead[1],
             resistance=jnp.where(begin, elastic, resistance),
             free=good & ~descent.free & (unstable == 0) & (moved < _SMALL),
             steps=jnp.where(begin, 0, descent.steps + 1),
@@ -254,7 +259,8 @@ def follow(
     x = equations(nowhere, reference, state.memory).guess(state.force, state.joints)
     unstable = jnp.where(leave == ACCEPT, _NOT_COUNTED, _UNKNOWN).astype(jnp.int32)
     path = Path(first, reference, x, none, none, none, none, nowhere, unstable, none, state.memory)
-    descent = _Descent(no, nowhere, reference, state.force, nowhere, no, none, none, none)
+    forces = _configuration(equations(nowhere, reference, state.memory), x)[1]
+    descent = _Descent(no, nowhere, reference, forces, nowhere, no, none, none, none)
     path, descent = lax.while_loop(unfinished, attempt, (path, descent))
     return path, descent.all_steps
 
@@ -283,9 +289,10 @@ def _overflow(equations: Equations[AtRest], x) -> Int[Array, ""]:
     return jnp.where(pairs.overflow, Result.CAPACITY_OVERFLOW, Result.SUCCESS).astype(jnp.int32)
 
 
-def _configuration(equations: Equations[AtRest], x) -> tuple[Reference, Float[Array, "n 3"]]:
+def _configuration(equations: Equations[AtRest], x) -> tuple[Reference, Forces]:
     motion = equations.motion(x)
-    return (motion.position, rotations.normalize(motion.quaternion)), equations.force(x)
+    forces = equations.force(x), equations.joints(x)
+    return (motion.position, rotations.normalize(motion.quaternion)), forces
 
 
 def _disturbed(reference: Reference) -> Reference:

@@ -97,8 +97,11 @@ def snapshots(
                 stripe=stripe_first and index == 0,
                 breaks=rod.breaks,
             )
-            start = flat[index][[part.first for part in rod.parts], :2].T
+            start = flat[index][[part.first for part in rod.strands], :2].T
             axes.plot(*start, "o", markersize=9, markerfacecolor="none", color="black", zorder=3)
+            if rod.bodies:
+                places = flat[index][list(rod.bodies), :2].T
+                axes.plot(*places, "s", markersize=9, color="black", zorder=3)
         else:
             axes.set_aspect("equal")
             axes.text(0.5, 0.5, "not finite", transform=axes.transAxes, ha="center", va="center")
@@ -108,6 +111,7 @@ def snapshots(
         axes.tick_params(labelsize=8)
         axes.locator_params(axis="y", nbins=max(2, int(12 * heights[index] / (right - left)) + 1))
     label = f"{_direction(page[0])} [{units.length}]; a circle marks the end s = 0"
+    label += ", a square a body" if rod.bodies else ""
     figure.supxlabel(label, fontsize=10)
     figure.supylabel(f"{_direction(page[1])} [{units.length}]", fontsize=10)
     strained = any(np.any(np.asarray(density) > 0) for density in densities)

@@ -280,7 +280,7 @@ class Contact(eqx.Module):
 def _shared_out(segments: int, rod: Rod) -> tuple[int, ...]:
     """So many segments, by the lengths of rods: two or more each, of nearly one length."""
     if known(rod.length):
-        sizes = [float(np.sum(np.asarray(rod.length)[part.elements])) for part in rod.parts]
+        sizes = [float(np.sum(np.asarray(rod.length)[part.elements])) for part in rod.strands]
     else:
-        sizes = [part.last - part.first for part in rod.parts]
+        sizes = [part.last - part.first for part in rod.strands]
     return tuple(max(2, round(segments * size / sum(sizes))) for size in sizes)

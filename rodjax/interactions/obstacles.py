@@ -152,7 +152,7 @@ class Obstacle(AbstractLoad):
         if not all_known((self, rod)):
             return
         with jax.ensure_compile_time_eval():
-            distance = np.asarray(jax.vmap(self.shape.distance)(rod.position))
+            distance = np.asarray(jax.vmap(self.shape.distance)(_of_rods(rod, rod.position)))
         if not np.all(np.isfinite(distance)):
             raise ValueError(
                 f"shape: its distance from node {int(np.argmin(np.isfinite(distance)))} is no"
@@ -326,26 +326,37 @@ class Obstacle(AbstractLoad):
         return jax.vmap(self.shape.distance)(position - shift[None].astype(position.dtype))
 
     def safe_fraction(self, rod, position, change, found):
+        position, change = _of_rods(rod, position), _of_rods(rod, change)
         # of a convex obstacle the linear change is the most that a node comes nearer, of a hollow
         # that from end to end
         before, linear = jax.jvp(self._apart, (position,), (change,))
         closing = jnp.maximum(-linear, before - self._apart(position + change))
-        most = jnp.maximum(before, 0.0) + _DEEPER * _radius(rod)
+        most = jnp.maximum(before, 0.0) + _DEEPER * _of_rods(rod, _radius(rod))
         fraction = most / jnp.where(closing > most, closing, most)
         return jnp.min(fraction, initial=1.0)
 
     def verdict(self, rod, before, after, found):
         """Whether a node went through the obstacle, or half a diameter into it at once."""
+        before, after = _of_rods(rod, before), _of_rods(rod, after)
         parts = jnp.linspace(0.0, 1.0, _LOOKS, dtype=before.dtype)
         at = lambda part: self._apart(before + part * (after - before))
         apart = jax.lax.map(at, parts)
         outside = jnp.minimum(apart[0], jnp.maximum(apart[-1], 0.0))
         deepest = jnp.min(apart, 0)
-        passed = jnp.any((outside >= 0) & (deepest < -_radius(rod)))
+        passed = jnp.any((outside >= 0) & (deepest < -_of_rods(rod, _radius(rod))))
         return jnp.where(passed, Result.OBSTACLE_PASSED, Result.SUCCESS)
 
 
 def _radius(rod: Rod) -> Float[Array, " nodes"]:
     """Half the diameter at the nodes."""
     assert rod.diameter is not None  # `check` has seen to it
-    return 0.5 * rod.to_nodes(rod.diameter) / rod.node_length
+    length, amount = rod.node_length, rod.to_nodes(rod.diameter)
+    if rod.bodies:  # which no obstacle feels
+        length = length.at[np.array(rod.bodies)].set(1.0, unique_indices=True)
+        amount = amount.at[np.array(rod.bodies)].set(rod.diameter[0], unique_indices=True)
+    return 0.5 * amount / length
+
+
+def _of_rods(rod: Rod, rows: Float[Array, "nodes *k"]) -> Float[Array, "r *k"]:
+    """The rows of nodes that are no bodies by themselves, which come last."""
+    return rows[: len(rows) - len(rod.bodies)] if rod.bodies else rows

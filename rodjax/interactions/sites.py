@@ -46,7 +46,7 @@ def sites_of(contact: Contact, rod: Rod, closed: bool | Bool[Array, ""] = False)
     Their arc lengths are so far from each other that no exclusion reaches from one to the next.
     """
     shares = contact.shared
-    if len(shares) != len(rod.parts):
+    if len(shares) != len(rod.strands):
         raise ValueError("contact: it was set up for another number of rods; give it to the scene")
     total = jnp.sum(rod.length)
     if not rod.breaks:
@@ -55,7 +55,7 @@ def sites_of(contact: Contact, rod: Rod, closed: bool | Bool[Array, ""] = False)
             around = lax.stop_gradient(jnp.where(closed, total, jnp.inf))
         return _sites_of_one(contact, rod, rod.parts[0], shares[0])._replace(around=around)
     found = []
-    for i, (part, segments) in enumerate(zip(rod.parts, shares, strict=True)):
+    for i, (part, segments) in enumerate(zip(rod.strands, shares, strict=True)):
         own = _sites_of_one(contact, rod, part, segments)
         far = 3 * i * total
         if found:
@@ -83,7 +83,7 @@ def _sites_of_one(contact: Contact, rod: Rod, part: Part, segments: int) -> Site
         return jnp.clip(place - 1, 0, count - 1)
 
     vertices = total / segments * jnp.arange(segments + 1, dtype=total.dtype)
-    stencil = min(4, *(one.last - one.first + 1 for one in rod.parts))
+    stencil = min(4, *(one.last - one.first + 1 for one in rod.strands))
     first = jnp.clip(element(vertices) - 1, 0, count + 1 - stencil)
     chosen = first[:, None] + jnp.arange(stencil, dtype=first.dtype)[None]
     index = jnp.arange(segments * points, dtype=total.dtype)

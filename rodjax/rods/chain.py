@@ -3,15 +3,18 @@
 Between the last node of a rod and the first of the next stands an element that is none: it has no
 length and no stiffness, its strain is that of an element at rest whatever its nodes do, and its
 internal force is zero. So a system of rods is one rod to all that is local to nodes and elements,
-and the same block tridiagonal matrix solves it. See `Rod.breaks`.
+and the same block tridiagonal matrix solves it. See `Rod.breaks`. A rigid body by itself is a node
+behind the last rod with such elements on both sides, and a lump on it.
 """
 
 import dataclasses
 import functools
 from collections.abc import Sequence
+from typing import Any
 
 import jax
 import jax.numpy as jnp
+from jaxtyping import Array, Float
 
 from rodjax.inputs.validation import check_instance
 from rodjax.rods.lump import Lump
@@ -38,6 +41,9 @@ def chain(rods: Sequence[Rod]) -> Rod:
     check_instance(Rod, mend, **{f"rods[{i}]": rod for i, rod in enumerate(rods)})
     if not rods:
         raise ValueError("rods: give at least one")
+    for i, rod in enumerate(rods):
+        if rod.bodies and len(rods) > 1:
+            raise ValueError(f"rods[{i}]: it has bodies; give these to the scene, as bodies=(...)")
     if len(rods) == 1:
         return rods[0]
     dtypes = {rod.position.dtype.name for rod in rods}
@@ -93,6 +99,59 @@ def chain(rods: Sequence[Rod]) -> Rod:
     )
 
 
+def with_bodies(
+    rod: Rod,
+    position: Float[Array, "b 3"],
+    quaternion: Float[Array, "b 4"],
+    lumps: tuple[Lump, ...],
+) -> Rod:
+    """The rod, or rods, with bodies by themselves behind, one at least.
+
+    Args:
+        rod: without bodies.
+        position, quaternion: of the bodies' centres of mass.
+        lumps: what each is, with any node and rod.
+    """
+    count, nodes, before = len(lumps), rod.elements + 1, len(rod.parts)
+
+    def behind(name, row: Any = 0.0):
+        """A property of the elements, with such a row for each that is none."""
+        value = getattr(rod, name)
+        if value is None:
+            return None
+        rows = jnp.broadcast_to(jnp.asarray(row, value.dtype), (count, *value.shape[1:]))
+        return jnp.concatenate([value, rows])
+
+    compliance = _compliance(rod)
+    soft = jnp.broadcast_to(rod.length[0] ** 2 / rod.stiffness[0, 0], (count, 3))
+    material, actuation = rod.material, rod.actuation
+    if material is not None:
+        own = own_materials(material, before)
+        material = MaterialsOfRods.of(own, _counts([rod]), count)
+    if actuation is not None:
+        own = own_actuations(actuation, before)
+        actuation = ActuationsOfRods(tuple(own), tuple(_counts([rod])), count)
+    placed = (dataclasses.replace(lump, node=0, rod=before + i) for i, lump in enumerate(lumps))
+    return Rod(
+        position=jnp.concatenate([rod.position, position.astype(rod.position.dtype)]),
+        quaternion=jnp.concatenate([rod.quaternion, quaternion.astype(rod.position.dtype)]),
+        length=behind("length"),
+        stiffness=behind("stiffness"),
+        natural_curvature=behind("natural_curvature"),
+        mass=behind("mass"),
+        rotary_inertia=behind("rotary_inertia"),
+        compliance=jnp.concatenate([compliance, soft]),
+        diameter=None if rod.diameter is None else behind("diameter", rod.diameter[-1]),
+        area=behind("area"),
+        coupling=behind("coupling"),
+        torque_per_tension=behind("torque_per_tension"),
+        material=material,
+        actuation=actuation,
+        breaks=(*rod.breaks, *range(nodes - 1, nodes - 1 + count)),
+        lumps=(*rod.lumps, *placed),
+    )
+
+
 def _lumps(rods: Sequence[Rod]) -> tuple[Lump, ...]:
     """Those of all rods, each at the rod's place among all."""
     found, before = [], 0
@@ -104,7 +163,7 @@ def _lumps(rods: Sequence[Rod]) -> tuple[Lump, ...]:
 
 def _counts(rods: Sequence[Rod]) -> list[int]:
     """How many elements each of all rods has, those of chains one by one."""
-    return [part.last - part.first for rod in rods for part in rod.parts]
+    return [part.last - part.first for rod in rods for part in rod.strands]
 
 
 def _materials(rods: Sequence[Rod]) -> MaterialsOfRods | None:
@@ -150,15 +209,15 @@ def _laid_diameter(rods: Sequence[Rod]):
 
 
 def rods_of(rod: Rod) -> tuple[Rod, ...]:
-    """The rods that a chain is made of; of a rod by itself that one.
+    """The rods that a chain is made of, without bodies; of a rod by itself that one.
 
     Their compliance is an array, zero where it was None.
     """
     if not rod.breaks:
         return (rod,)
 
-    materials = own_materials(rod.material, len(rod.parts))
-    actuations = own_actuations(rod.actuation, len(rod.parts))
+    materials = own_materials(rod.material, len(rod.strands))
+    actuations = own_actuations(rod.actuation, len(rod.strands))
 
     def one(index: int, part: Part, material, actuation) -> Rod:
         of_nodes = lambda value: value[part.nodes]
@@ -183,14 +242,16 @@ def rods_of(rod: Rod) -> tuple[Rod, ...]:
             ),
         )
 
-    return tuple(map(one, range(len(rod.parts)), rod.parts, materials, actuations))
+    return tuple(map(one, range(len(rod.strands)), rod.strands, materials, actuations))
 
 
 def states_of(state: State) -> tuple[State, ...]:
     """The states of the rods of a scene by themselves; of one state, or of a run's stacked ones.
 
+    Then those of its bodies, each of one node and no element.
+
     Args:
-        state: of one rod or of several.
+        state: of one rod or of several, or with bodies.
     """
     if not state.breaks:
         return (state,)
@@ -226,8 +287,8 @@ def alone(state: State, asked: str) -> State:
     """
     if state.breaks:
         raise ValueError(
-            f"state: it is of {len(state.breaks) + 1} rods, and {asked} is of one: give one of"
-            " rodjax.states_of(state)"
+            f"state: it is of {len(state.breaks) + 1} rods or bodies, and {asked} is of one rod:"
+            " give one of rodjax.states_of(state)"
         )
     return state
 
@@ -236,6 +297,6 @@ def check_alone(rod: Rod, asked: str) -> None:
     """Raise ValueError if a rod is several, of which `asked` is not to be had as one."""
     if rod.breaks:
         raise ValueError(
-            f"rod: it is {len(rod.parts)} rods, and {asked} is of one: do it before they are given"
-            " to the scene, or take one of `scene.rods`"
+            f"rod: it is {len(rod.parts)} rods or bodies, and {asked} is of one rod: do it before"
+            " they are given to the scene, or take one of `scene.rods`"
         )

@@ -101,7 +101,8 @@ class Rod(eqx.Module):
         material: how elements resist, where not linearly; or None.
         actuation: schedule of what is added to kappa0, three components or (n, 3) [1/m]; or None.
         breaks: elements that are none, between the last node of a rod and the first of the next
-            where several are laid end to end (`chain`); their length and stiffness are zero.
+            where several are laid end to end (`chain`); their length and stiffness are zero. A
+            node between two of them, or behind the last, is a body by itself (`with_bodies`).
         lumps: masses and rigid bodies that are fixed to its nodes, a tuple of `Lump`; a scene is
             given them by themselves, `Scene(rod, lumps=...)`.
     """
@@ -218,10 +219,15 @@ class Rod(eqx.Module):
         if not isinstance(self.breaks, tuple):
             raise ValueError(f"breaks: give a tuple of element numbers, got {self.breaks!r}")
         edges = (-1, *self.breaks, self.elements)
-        if any(after - before < 3 for before, after in itertools.pairwise(edges)):
+        counts = [after - before - 1 for before, after in itertools.pairwise(edges)]
+        strands = counts[: len(counts) - len(self.bodies)]
+        if any(count < 2 for count in strands) or not strands:
             raise ValueError(
                 f"breaks: every rod needs at least 2 elements, got {self.breaks} of {self.elements}"
             )
+        heavy = {lump.rod for lump in self.lumps if lump.inertia is not None}
+        if any(i not in heavy for i in range(len(strands), len(counts))):
+            raise ValueError("lumps: a body by itself needs one with mass and moments of inertia")
         index = list(self.breaks)
         for name, value in (("length", self.length), ("stiffness", self.stiffness)):
             if index and known(value) and np.any(np.asarray(value)[index] != 0):
@@ -278,7 +284,8 @@ class Rod(eqx.Module):
             del given["lumps"]
         if known(self.length) and self.length.ndim == 1:
             size = {"elements": self.elements, "length": np.sum(np.asarray(self.length))}
-            size |= {"rods": len(self.breaks) + 1} if self.breaks else {}
+            size |= {"rods": len(self.strands)} if len(self.strands) > 1 else {}
+            size |= {"bodies": len(self.bodies)} if self.bodies else {}
         else:
             size = {"length": self.length}
         return named("Rod", {**size, **given})
@@ -290,8 +297,20 @@ class Rod(eqx.Module):
 
     @property
     def parts(self) -> tuple[Part, ...]:
-        """Where each of the rods stands that are laid end to end; of a rod by itself all of it."""
+        """Where each of the rods stands that are laid end to end, then each of the bodies; of a rod
+        by itself all of it.
+        """
         return parts_of(self.breaks, self.elements)
+
+    @property
+    def strands(self) -> tuple[Part, ...]:
+        """Where each of the rods stands."""
+        return self.parts[: len(self.parts) - len(self.bodies)]
+
+    @property
+    def bodies(self) -> tuple[int, ...]:
+        """The nodes that are bodies by themselves, which come last."""
+        return tuple(part.first for part in self.parts if part.first == part.last)
 
     def solid(self, values: Float[AnyArray, "n *k"]) -> Float[AnyArray, "m *k"]:
         """The rows of the elements that are: all of them but `breaks`."""
@@ -332,6 +351,16 @@ class Rod(eqx.Module):
     def node_length(self) -> Float[Array, " nodes"]:
         """Rest length that belongs to each node: half of each neighbouring element."""
         return self.to_nodes(jnp.ones_like(self.length))
+
+    @property
+    def weighing_length(self) -> Float[Array, " nodes"]:
+        """The length that motions of the nodes count with in norms: their own, of a body by itself
+        that of all rods.
+        """
+        own = self.node_length
+        if not self.bodies:
+            return own
+        return own.at[np.array(self.bodies)].set(jnp.sum(self.length), unique_indices=True)
 
     @property
     def arc_length(self) -> Float[Array, " nodes"]:

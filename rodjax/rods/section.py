@@ -220,12 +220,17 @@ def circular_section(
     }
     check_scalar(**numbers)
     check_positive(**numbers)
-    youngs, shear, factor = map(as_float, (youngs_modulus, shear_modulus, shear_factor))
-    weight = None if density is None else as_float(density)
+    moduli = [as_float(value) for value in (youngs_modulus, shear_modulus, shear_factor)]
+    given_weight = None if density is None else as_float(density)
 
     def at(midpoints: AnyArray) -> Section:
         d = sample(diameter, midpoints, "diameter")
         check_positive(diameter=d)
+        # each number may have been given in single precision
+        numbers = [d, *moduli] if given_weight is None else [d, *moduli, given_weight]
+        kind = np.result_type(*(number.dtype for number in numbers))
+        d, youngs, shear, factor, *weights = (number.astype(kind) for number in numbers)
+        weight = weights[0] if weights else None
         area = jnp.pi * d**2 / 4
         bend = area * d**2 / 16
         inertia = None if weight is None or not rotary_inertia else weight * bend

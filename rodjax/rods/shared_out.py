@@ -9,12 +9,15 @@ from rodjax.rods.linear_material import LinearMaterial
 from rodjax.rods.material import AbstractMaterial, ElementMotion
 
 
-def laid(rows: list[Array]) -> Array:
-    """Rows of the elements of all rods, with one of zeros for the element that is none."""
+def laid(rows: list[Array], bodies: int = 0) -> Array:
+    """Rows of the elements of all rods, with one of zeros for each element that is none: between
+    two rods, and before each of the bodies behind them.
+    """
+    none = jnp.zeros_like(rows[0][:1])
     whole = [rows[0]]
     for own in rows[1:]:
         whole += [jnp.zeros_like(own[:1]), own]
-    return jnp.concatenate(whole)
+    return jnp.concatenate([*whole, *[none] * bodies])
 
 
 class MaterialsOfRods(AbstractMaterial):
@@ -23,16 +26,18 @@ class MaterialsOfRods(AbstractMaterial):
     Attributes:
         materials: of each rod.
         counts: the number of its elements.
+        bodies: how many bodies stand behind the rods.
     """
 
     materials: tuple[AbstractMaterial, ...]
     counts: tuple[int, ...] = eqx.field(static=True)
+    bodies: int = eqx.field(static=True, default=0)
 
     @classmethod
-    def of(cls, materials, counts) -> "MaterialsOfRods":
+    def of(cls, materials, counts, bodies=0) -> "MaterialsOfRods":
         """Of each rod; None is linear."""
         chosen = tuple(LinearMaterial() if one is None else one for one in materials)
-        return cls(chosen, tuple(counts))
+        return cls(chosen, tuple(counts), bodies)
 
     def _each(self, at: ElementMotion) -> list[tuple[AbstractMaterial, ElementMotion]]:
         """The materials, with what each sees of its own rod."""
@@ -54,7 +59,7 @@ class MaterialsOfRods(AbstractMaterial):
         return pairs
 
     def moment(self, at):
-        return laid([one.moment(own) for one, own in self._each(at)])
+        return laid([one.moment(own) for one, own in self._each(at)], self.bodies)
 
     def energy(self, at):
         densities = []
@@ -64,7 +69,7 @@ class MaterialsOfRods(AbstractMaterial):
                 zero = jnp.zeros_like(density)
                 density = jnp.stack([density, zero, zero], 1)
             densities.append(density)
-        return laid(densities)
+        return laid(densities, self.bodies)
 
     @property
     def viscous(self):
@@ -78,12 +83,12 @@ class MaterialsOfRods(AbstractMaterial):
         for one, count in zip(self.materials, self.counts, strict=True):
             time = 0.0 if one.stretch_time is None else one.stretch_time
             rows.append(jnp.broadcast_to(jnp.asarray(time), (count,)))
-        return laid(rows)
+        return laid(rows, self.bodies)
 
     def slopes(self, at):
         found = [one.slopes(own) for one, own in self._each(at)]
         by_curvature, by_rate = zip(*found, strict=True)
-        return laid(list(by_curvature)), laid(list(by_rate))
+        return laid(list(by_curvature), self.bodies), laid(list(by_rate), self.bodies)
 
     @property
     def remembers(self):
@@ -97,11 +102,11 @@ class MaterialsOfRods(AbstractMaterial):
 
     def lost(self, before, after):
         pairs = zip(self._each(before), self._each(after), strict=True)
-        return laid([one.lost(first, second) for (one, first), (_, second) in pairs])
+        return laid([one.lost(first, second) for (one, first), (_, second) in pairs], self.bodies)
 
     def driven(self, before, after):
         pairs = zip(self._each(before), self._each(after), strict=True)
-        return laid([one.driven(first, second) for (one, first), (_, second) in pairs])
+        return laid([one.driven(first, second) for (one, first), (_, second) in pairs], self.bodies)
 
 
 class ActuationsOfRods(AbstractSchedule):
@@ -110,17 +115,19 @@ class ActuationsOfRods(AbstractSchedule):
     Attributes:
         schedules: of each rod.
         counts: the number of its elements.
+        bodies: how many bodies stand behind the rods.
     """
 
     schedules: tuple[AbstractSchedule | None, ...]
     counts: tuple[int, ...] = eqx.field(static=True)
+    bodies: int = eqx.field(static=True, default=0)
 
     def __call__(self, time):
         rows = []
         for one, count in zip(self.schedules, self.counts, strict=True):
             value = jnp.zeros((3,)) if one is None else one(time)
             rows.append(jnp.broadcast_to(value, (count, 3)))
-        return laid(rows)
+        return laid(rows, self.bodies)
 
     @property
     def _given(self) -> list[AbstractSchedule]:

@@ -25,6 +25,7 @@ from rodjax.rods.lump import Lump
 from rodjax.rods.rod import Rod
 from rodjax.rods.state import Memory, NodeMotion, State, node_motion
 from rodjax.scenes import probing, scene_checks
+from rodjax.scenes.body import Body, with_all
 from rodjax.scenes.holds import Held, Node
 from rodjax.scenes.material_probing import check_law
 from rodjax.scenes.potentials import check_potential
@@ -58,7 +59,8 @@ class Scene(eqx.Module):
     those of a, then those of b. `first_end` is then at the first rod's s = 0 and `last_end` at the
     last rod's s = L; a tuple of ends has one for each rod. `rods` and `states_of` take a scene and
     its states apart again. `lumps=`, masses and bodies fixed to nodes, are kept by the rod
-    (`Rod.lumps`).
+    (`Rod.lumps`). `bodies=`, rigid bodies by themselves, stand behind the rods on the axis of
+    nodes, one node each (`Rod.bodies`).
 
     Attributes:
         rod: the rod, at rest and as it is placed at first; several as one.
@@ -67,8 +69,9 @@ class Scene(eqx.Module):
         contact: whether and how it touches itself, and rods each other; None for strands that pass
             through each other.
         supports: what holds it between its ends, a tuple of `Support`.
-        inner_ends: of several rods, the last end of the first, the first of the second, and so on.
-        joints: what joins points of rods, a tuple of `Weld`, `Ball`, `Hinge`, `Slide`.
+        inner_ends: of several rods, the last end of the first, the first of the second, and so on;
+            then what holds each of the bodies.
+        joints: what joins points of rods and bodies, a tuple of `Weld`, `Ball`, `Hinge`, `Slide`.
     """
 
     rod: Rod
@@ -95,11 +98,13 @@ class Scene(eqx.Module):
         *,
         rods: Sequence[Rod] | None = None,
         lumps: tuple[Lump, ...] = (),
+        bodies: tuple[Body, ...] = (),
     ):
         if rods is not None:
             rod = as_one(rod, rods)
             first_end, last_end, inner_ends = ends_of(len(rods), first_end, last_end)
-        rod = scene_checks.carrying(rod, lumps)
+        rod = with_all(scene_checks.carrying(rod, lumps), bodies)
+        inner_ends = (*inner_ends, *(body.end for body in bodies))
         if isinstance(contact, Contact) and isinstance(rod, Rod):
             contact = contact.fitted(rod)
         given = (rod, first_end, last_end, loads, contact, supports, inner_ends, joints)
@@ -135,7 +140,9 @@ class Scene(eqx.Module):
 
     @property
     def rods(self) -> tuple[Rod, ...]:
-        """The rods by themselves; of several the compliance is zero where it was None."""
+        """The rods by themselves, without bodies; of several the compliance is zero where it was
+        None.
+        """
         return rods_of(self.rod)
 
     @property
@@ -154,12 +161,14 @@ class Scene(eqx.Module):
 
     @property
     def held_ends(self) -> tuple[Held, ...]:
-        """The ends of all rods, the scene's two first."""
-        first, *inner, last = (node for part in self.rod.parts for node in part)
+        """The ends of all rods, the scene's two first, then what holds the bodies."""
+        first, *inner, last = (node for part in self.rod.strands for node in part)
         ends = Held("first_end", first, self.first_end), Held("last_end", last, self.last_end)
         rods = range(len(inner) // 2)
-        names = (name for i in rods for name in (f"last_end[{i}]", f"first_end[{i + 1}]"))
-        return (*ends, *map(Held, names, inner, self.inner_ends))
+        names = [name for i in rods for name in (f"last_end[{i}]", f"first_end[{i + 1}]")]
+        bodies = self.rod.bodies
+        names += [f"bodies[{i}].end" for i in range(len(bodies))]
+        return (*ends, *map(Held, names, (*inner, *bodies), self.inner_ends))
 
     @property
     def holding(self) -> str:

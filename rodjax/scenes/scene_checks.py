@@ -7,7 +7,7 @@ import jax
 import numpy as np
 
 from rodjax.constraints.ends import AbstractEnd, Free, check_end
-from rodjax.constraints.joints import AbstractJoint
+from rodjax.constraints.joints import AbstractJoint, Point
 from rodjax.constraints.supports import Support
 from rodjax.inputs.validation import all_known, check_instance, known
 from rodjax.interactions.contact import Contact
@@ -76,10 +76,12 @@ def check_kinds(scene: "Scene") -> None:
         AbstractEnd, "give an end such as Free()",
         **{f"inner_ends[{i}]": end for i, end in enumerate(scene.inner_ends)},
     )  # fmt: skip
-    if len(scene.inner_ends) != 2 * len(scene.rod.breaks):
+    rods, bodies = len(scene.rod.strands), len(scene.rod.bodies)
+    if len(scene.inner_ends) != 2 * (rods - 1) + bodies:
         raise ValueError(
-            f"inner_ends: {len(scene.rod.parts)} rods have {2 * len(scene.rod.breaks)}, got"
-            f" {len(scene.inner_ends)}; give the rods as rods=(one, another)"
+            f"inner_ends: {rods} rods and {bodies} bodies have {2 * (rods - 1) + bodies}, got"
+            f" {len(scene.inner_ends)}; give the rods as rods=(one, another), bodies as"
+            " bodies=(...)"
         )
     if scene.contact is not None:
         mend = "give Contact(law, segments, cutoff), or None for no contact"
@@ -91,9 +93,9 @@ def check_supports(scene: "Scene") -> None:
     taken = {held.node: held.name for held in scene.held_ends}
     for i, support in enumerate(scene.supports):
         name = f"supports[{i}]"
-        if support.rod >= len(scene.rod.parts):
+        if support.rod >= len(scene.rod.strands):
             raise ValueError(
-                f"{name}: rod: the scene's rods are 0 to {len(scene.rod.parts) - 1}, got"
+                f"{name}: rod: the scene's rods are 0 to {len(scene.rod.strands) - 1}, got"
                 f" {support.rod}"
             )
         if not known(support.node):
@@ -125,18 +127,7 @@ def check_joints(scene: "Scene") -> None:
         frames = []
         for which, point in (("first", joint.first), ("second", joint.second)):
             name = f"joints[{i}].{which}"
-            if point.rod >= len(scene.rod.parts):
-                raise ValueError(
-                    f"{name}: rod: the scene's rods are 0 to {len(scene.rod.parts) - 1}, got"
-                    f" {point.rod}"
-                )
-            part = scene.rod.parts[point.rod]
-            node, last = point.place(scene.rod.parts), part.last - part.first
-            if not part.first <= node <= part.last:
-                raise ValueError(
-                    f"{name}: node: a rod of {last} elements has the nodes 0 to {last}, or"
-                    f" {-last - 1} to -1, got {point.node}"
-                )
+            node = _node_of(scene, point, name)
             frames.append((node, (scene.rod.position[node], scene.rod.quaternion[node])))
         (a, first), (b, second) = frames
         if scene.contact is not None and scene.rod.breaks and scene.welded(joint.first.rod):
@@ -158,6 +149,26 @@ def check_joints(scene: "Scene") -> None:
                 " directions that it holds, as the rods are placed; place them so that they"
                 " meet, or give the points offsets"
             )
+
+
+def _node_of(scene: "Scene", point: Point, name: str) -> int:
+    """The node of a point, which must be there."""
+    rods, bodies = len(scene.rod.strands), len(scene.rod.bodies)
+    if point.body is not None:
+        if point.body >= bodies:
+            there = f"are 0 to {bodies - 1}" if bodies else "are none; give bodies=(...)"
+            raise ValueError(f"{name}: body: the scene's bodies {there}, got {point.body}")
+        return point.place(scene.rod.parts)
+    if point.rod >= rods:
+        raise ValueError(f"{name}: rod: the scene's rods are 0 to {rods - 1}, got {point.rod}")
+    part = scene.rod.parts[point.rod]
+    node, last = point.place(scene.rod.parts), part.last - part.first
+    if not part.first <= node <= part.last:
+        raise ValueError(
+            f"{name}: node: a rod of {last} elements has the nodes 0 to {last}, or"
+            f" {-last - 1} to -1, got {point.node}"
+        )
+    return node
 
 
 def check_inertialess(scene: "Scene") -> None:
