@@ -22,8 +22,8 @@ class Capacity(NamedTuple):
         return self.vertices if self.nodes is None else self.nodes
 
 
-# dense systems up to so many points are cheaper than a front; a second pays beyond the other
-_DENSE, _WIDE = 116, 250
+# dense systems up to so many unknowns are cheaper than a front; a second pays beyond the other
+_DENSE, _WIDE = 350, 750
 # a smaller dense system is compiled if it is so much smaller than the largest
 _WORTH = 0.6
 _FRONTS = (FrontSize(16, 6), FrontSize(24, 8))
@@ -45,9 +45,9 @@ def capacities(contact: Contact, elements: int) -> tuple[Capacity, ...]:
         return Capacity(vertices, contact.room * vertices, nodes)
 
     dense = tuple(map(capacity, contact.sizes))
-    largest = dense[-1].points
+    largest = contact.width * dense[-1].points
     if not contact.capacities:  # each costs compile time: none that saves little of the largest
-        dense = (*[one for one in dense if one.points < _WORTH * largest], dense[-1])
+        dense = (*[one for one in dense if contact.width * one.points < _WORTH * largest], dense[-1])
     if contact.capacities or largest <= _DENSE or jax.default_backend() != "cpu":
         return dense
     fronts = _FRONTS if largest > _WIDE else _FRONTS[:1]
