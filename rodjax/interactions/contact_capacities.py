@@ -47,7 +47,10 @@ def capacities(contact: Contact, elements: int) -> tuple[Capacity, ...]:
     dense = tuple(map(capacity, contact.sizes))
     largest = contact.width * dense[-1].points
     if not contact.capacities:  # each costs compile time: none that saves little of the largest
-        dense = (*[one for one in dense if contact.width * one.points < _WORTH * largest], dense[-1])
+        dense = (
+            *[one for one in dense if contact.width * one.points < _WORTH * largest],
+            dense[-1],
+        )
     if contact.capacities or largest <= _DENSE or jax.default_backend() != "cpu":
         return dense
     fronts = _FRONTS if largest > _WIDE else _FRONTS[:1]
