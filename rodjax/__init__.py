@@ -135,6 +135,7 @@ if TYPE_CHECKING:
     from rodjax.reference import paper_scheme as paper_scheme
     from rodjax.reference import semidiscrete as semidiscrete
     from rodjax.rods import topology as topology
+    from rodjax.viewing.animation import animate as animate
     from rodjax.viewing.view import RunView as RunView
     from rodjax.viewing.view import view as view
 
@@ -176,7 +177,7 @@ _FITTING = {
 }
 
 # and where in other folders names are that few need
-_VIEWING = {"RunView": "view", "view": "view"}
+_VIEWING = {"RunView": "view", "animate": "animation", "view": "view"}
 _EXPORTING = {"to_xarray": "labelled"}
 
 __all__ = [
@@ -258,6 +259,7 @@ __all__ = [
     "Unbounded",
     "Weld",
     "adaptive_rollout",
+    "animate",
     "check",
     "circular_section",
     "curved_rod",

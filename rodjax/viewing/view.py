@@ -3,32 +3,31 @@
 Everything that a page needs is in it: it opens without a network, and sends nothing.
 """
 
-import dataclasses
 import html
 import json
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from importlib import resources
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
-import jax
 import numpy as np
-from jaxtyping import Float
 
-from rodjax.files import storage
 from rodjax.files.tubes import View
-from rodjax.files.units import SI, Units
-from rodjax.inputs.validation import as_integer, check_integer, check_positive, check_scalar, given
-from rodjax.inputs.validation import shown as briefly
-from rodjax.numerics.results import Result
-from rodjax.rods.rod import Rod
-from rodjax.rods.state import State
-from rodjax.scenes.arguments import check_scene
-from rodjax.scenes.placing import placing
-from rodjax.scenes.scene import Scene
+from rodjax.files.units import Units
+from rodjax.inputs.validation import check_positive, check_scalar, given
 from rodjax.viewing import bodies, colouring, packing
 from rodjax.viewing.colouring import Measure
+from rodjax.viewing.shown import (
+    PITCH,
+    YAW,
+    Picked,
+    axes_of,
+    heading_of,
+    magnified,
+    picked,
+    proportions,
+)
 
 
 class RunView:
@@ -61,15 +60,6 @@ class RunView:
     def __repr__(self) -> str:
         size = len(self.page) / 1e6
         return f"RunView({self.frames} states, {size:.2g} MB; save('run.html') makes a file of it)"
-
-
-class _Shown(NamedTuple):
-    """What is to be shown, whatever it was given as."""
-
-    scene: Scene
-    states: State  # stacked
-    code: Result
-    units: Units
 
 
 def view(
@@ -118,155 +108,49 @@ def view(
     Raises:
         ValueError: scene, run and measures do not fit each other, or there is no such measure.
     """
-    shown = _shown(scene, run, units)
-    scene, states, names = shown.scene, shown.states, colouring.names_of(shown.scene)
-    frames = as_integer(frames)
-    check_integer(1, frames=frames)
     check_scalar(seconds=seconds, **given(magnify=magnify))
     check_positive(seconds=seconds, **given(magnify=magnify))
-    own = _own_measures(measures or {}, measure_units or {}, states, scene.rod)
-    names = [*names, *(measure.name for measure in own)]
-    if colour is not None and colour not in names:
-        raise ValueError(
-            f"colour: there is no measure {colour!r} of this scene; give one of"
-            f" {', '.join(map(repr, names))}, or None"
-        )
-    known = np.flatnonzero(np.all(np.isfinite(np.asarray(states.position)), (1, 2)))
-    rows = known[_spread(np.asarray(states.time)[known], frames)]
-    picked = jax.tree.map(lambda leaf: np.asarray(leaf)[rows], states)
-    found = []
-    if len(rows):
-        found = colouring.measures_of(scene, picked, shown.units)
-        found += [measure._replace(values=measure.values[rows]) for measure in own]
-    data = _data(scene, picked, found, shown.units, first_view)
-    size, thick = data["size"], data.pop("thickest")
-    data |= {
-        "magnify": _magnified(size, thick) if magnify is None else float(magnify),
-        "colour": names.index(colour) if found and colour is not None else -1,
-        "seconds": float(seconds),
-        "title": _heading(scene) if title is None else title,
-    }
-    if len(rows) < len(known):
-        data["notes"].append(_note(f"{len(rows)} of {len(known)} states"))
-    data["notes"] += _alarms(shown, len(known))
-    return RunView(_page(data), data["title"], len(rows))
+    few = picked(scene, run, colour, measures, measure_units, frames, units)
+    heading = heading_of(few.scene) if title is None else title
+    data = _data(few, first_view, magnify) | {"seconds": float(seconds), "title": heading}
+    return RunView(_page(data), heading, len(data["times"]))
 
 
-def _shown(scene: Any, run: Any, units: Units | None) -> _Shown:
-    """Scene, states and code of whatever was given."""
-    if isinstance(scene, str | os.PathLike):
-        scene = storage.load(scene)
-    if hasattr(scene, "run") and hasattr(scene, "scene"):
-        if run is not None:
-            raise ValueError("run: the file holds one; give the file alone, or its scene and a run")
-        scene, run, units = scene.scene, scene.run, units or scene.units
-    if hasattr(scene, "states") or hasattr(scene, "position"):
-        raise ValueError("scene: a run does not keep its scene; give both, view(scene, run)")
-    check_scene(scene)
-    code, states = Result.SUCCESS, run
-    if run is None:
-        states = placing(scene)
-    elif hasattr(run, "states"):
-        code, states = Result(int(np.max(np.asarray(run.result)))), run.states
-    elif not hasattr(run, "position"):
-        states = _stacked(run)
-    if not hasattr(states, "position"):
-        raise ValueError(f"run: give a Run, a State or a sequence of them, got {briefly(run)}")
-    if np.ndim(states.position) == 2:
-        states = jax.tree.map(lambda leaf: np.asarray(leaf)[None], states)
-    shape, nodes = np.shape(states.position), scene.rod.elements + 1
-    if len(shape) != 3 or shape[1:] != (nodes, 3):
-        raise ValueError(
-            f"run: has positions of shape {shape}, the scene's rod {nodes} nodes; give the scene"
-            " that the run is of, and one run"
-        )
-    return _Shown(scene, states, code, units or SI)
-
-
-def _stacked(states: Any) -> Any:
-    """A sequence of states as one."""
-    if not isinstance(states, Sequence) or not states:
-        return None
-    if not all(hasattr(state, "position") for state in states):
-        return None
-    # what only some of them have is not shown
-    bare = [dataclasses.replace(state, settling=None, jerk=None) for state in states]
-    try:
-        return jax.tree.map(lambda *leaves: np.stack([np.asarray(x) for x in leaves]), *bare)
-    except ValueError as error:
-        raise ValueError(f"run: its states are not of one scene: {error}") from error
-
-
-def _spread(times: Float[np.ndarray, " k"], count: int) -> np.ndarray:
-    """Indices of at most so many, the first and last among them, nearest to equal spacing."""
-    if len(times) <= count:
-        return np.arange(len(times))
-    even = np.linspace(times[0], times[-1], count)
-    return np.unique(np.argmin(np.abs(times[:, None] - even[None]), 0))
-
-
-def _own_measures(
-    given: Mapping[str, Any], units: Mapping[str, str], states: State, rod: Rod
-) -> list[Measure]:
-    """The user's measures, of all states."""
-    found, count, n = [], np.shape(states.time)[0], rod.elements
-    for name in units:
-        if name not in given:
-            raise ValueError(f"measure_units: {name!r} is not among the measures")
-    for name, value in given.items():
-        values = np.array(value, float)
-        if values.shape not in ((count, n), (count, n + 1)):
-            raise ValueError(
-                f"measures: {name!r} must have shape {(count, n)}, a value an element, or"
-                f" {(count, n + 1)}, a value a node, for each state; got {values.shape}"
-            )
-        both = np.nanmin(values, initial=0.0) < 0 < np.nanmax(values, initial=0.0)
-        found.append(Measure(name, units.get(name, ""), "signed" if both else "linear", values))
-    return found
-
-
-def _data(
-    scene: Scene, states: State, found: list[Measure], units: Units, first_view: View | None
-) -> dict[str, Any]:
+def _data(few: Picked, first_view: View | None, magnify: float | None) -> dict[str, Any]:
     """What the page is given."""
-    rod, times = scene.rod, np.asarray(states.time, float)
-    position = np.asarray(states.position, float)
+    scene, rod, states = few.scene, few.scene.rod, few.states
+    times, position = np.asarray(states.time, float), np.asarray(states.position, float)
     points = position.reshape(-1, 3) if len(times) else np.asarray(rod.position, float)
-    low, high = np.min(points, 0), np.max(points, 0)
-    origin, size = 0.5 * (low + high), float(np.linalg.norm(high - low))
-    notes = []
-    if rod.diameter is None:
-        length = float(np.sum(np.asarray(rod.length))) / len(rod.parts)
-        diameter = np.full(rod.elements, length / 200)
-        notes.append(_note("no diameter was given: drawn as a two hundredth of the length"))
-    else:
-        diameter = np.asarray(rod.diameter, float)
-    thickest = float(np.max(rod.solid(diameter)))
-    size = max(size, 4 * thickest)
-    # a box of some depth: what lies beside a rod in a plane is seen too
-    half = np.maximum(0.5 * (high - low) + 0.5 * thickest, 0.2 * size)
-    drawn, unseen = bodies.obstacles(scene, times, origin - half, origin + half, origin)
-    axes, tilted = _axes(points, first_view)
+    box = proportions(rod, points)
+    corners = box.origin - box.half, box.origin + box.half
+    drawn, unseen = bodies.obstacles(scene, times, *corners, box.origin)
+    axes, tilted = axes_of(points, first_view)
+    if box.assumed:
+        unseen.append("no diameter was given: drawn as a two hundredth of the length")
+    if len(times) < few.known:
+        unseen.append(f"{len(times)} of {few.known} states")
+    notes = [{"text": text, "alarm": False} for text in unseen]
     return {
         "times": times.tolist(),
         "nodes": rod.elements + 1,
         "parts": [[part.first, part.last] for part in rod.parts],
-        "position": packing.as_text(position - origin, "<f4"),
+        "position": packing.as_text(position - box.origin, "<f4"),
         "quaternion": packing.frames_as_text(np.asarray(states.quaternion, float)),
-        "origin": origin.tolist(),
-        "diameter": diameter.tolist(),
-        "thickest": thickest,
-        "size": size,
-        "measures": [_levels(measure, rod.elements) for measure in found],
+        "origin": box.origin.tolist(),
+        "diameter": box.diameter.tolist(),
+        "size": box.size,
+        "magnify": magnified(box) if magnify is None else float(magnify),
+        "measures": [_levels(measure, rod.elements) for measure in few.measures],
+        "colour": few.colour,
         "colours": colouring.COLOURS,
         "holds": bodies.holds(scene),
         "lumps": bodies.lumps(scene),
         "bodies": drawn,
-        "units": {"length": units.length, "time": units.time},
+        "units": {"length": few.units.length, "time": few.units.time},
         "axes": axes.tolist(),
-        "yaw": 0.35 if tilted else 0.0,
-        "pitch": 0.3 if tilted else 0.0,
-        "notes": [*notes, *map(_note, unseen)],
+        "yaw": YAW if tilted else 0.0,
+        "pitch": PITCH if tilted else 0.0,
+        "notes": [*notes, *({"text": text, "alarm": True} for text in few.alarms)],
     }
 
 
@@ -275,53 +159,6 @@ def _levels(measure: Measure, elements: int) -> dict[str, Any]:
     at = "elements" if measure.values.shape[1] == elements else "nodes"
     own = {"name": measure.name, "unit": measure.unit, "scale": measure.scale, "at": at}
     return own | {"low": packed.low, "high": packed.high, "values": packed.text}
-
-
-def _axes(points: Float[np.ndarray, "p 3"], first_view: View | None) -> tuple[np.ndarray, bool]:
-    """Directions that point right, up and out of the page at first; whether to look from aside."""
-    if first_view is not None:
-        return first_view.axes(), False
-    flat = points[:, :2] - np.mean(points[:, :2], 0)
-    right = np.append(np.linalg.eigh(flat.T @ flat)[1][:, -1], 0.0)
-    if np.sum(flat**2) < 1e-12 * np.sum(points**2):  # upright
-        right = np.array([1.0, 0.0, 0.0])
-    if right[np.argmax(np.abs(right))] < 0:
-        right = -right
-    up = np.array([0.0, 0.0, 1.0])
-    return np.stack([right, up, np.cross(right, up)]), True
-
-
-def _magnified(size: float, thick: float) -> float:
-    """How much thicker tubes are drawn to be seen in a picture of this size."""
-    if thick >= size / 180:
-        return 1.0
-    needed = size / 110 / thick
-    power = 10.0 ** np.floor(np.log10(needed))
-    return float(power * min((1, 2, 5, 10), key=lambda lead: abs(np.log(lead * power / needed))))
-
-
-def _heading(scene: Scene) -> str:
-    parts = scene.rod.parts
-    counts = [part.last - part.first for part in parts]
-    if len(parts) == 1:
-        return f"a rod of {counts[0]} elements"
-    return f"{len(parts)} rods of {', '.join(map(str, counts))} elements"
-
-
-def _note(text: str, alarm: bool = False) -> dict[str, Any]:
-    return {"text": text, "alarm": alarm}
-
-
-def _alarms(shown: _Shown, known: int) -> list[dict[str, Any]]:
-    """What a run did not do, and what of it there is."""
-    told, count = [], np.shape(shown.states.time)[0]
-    if shown.code is not Result.SUCCESS:
-        told.append(_note(f"The run ended by {shown.code}", True))
-    if not count:
-        told.append(_note("The run holds no state", True))
-    elif known < count:
-        told.append(_note(f"{count - known} of {count} states are no numbers, and not shown", True))
-    return told
 
 
 def _page(data: dict[str, Any]) -> str:

@@ -1,0 +1,231 @@
+"""Runs as moving pictures in files: a gif, or an mp4 where ffmpeg is."""
+
+import os
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from rodjax.files.tubes import View, tube
+from rodjax.files.units import Units
+from rodjax.inputs.validation import check_integer, check_positive, check_scalar, given
+from rodjax.viewing import bodies, colouring
+from rodjax.viewing.packing import from_text
+from rodjax.viewing.shown import (
+    PITCH,
+    YAW,
+    Picked,
+    axes_of,
+    heading_of,
+    magnified,
+    picked,
+    proportions,
+)
+
+
+def animate(
+    scene: Any,
+    run: Any = None,
+    path: str | os.PathLike = "run.gif",
+    *,
+    colour: str | None = "strain energy density",
+    measures: Mapping[str, Any] | None = None,
+    measure_units: Mapping[str, str] | None = None,
+    curves: Mapping[str, Any] | None = None,
+    curves_label: str = "",
+    magnify: float | None = None,
+    frames: int = 100,
+    seconds: float = 8.0,
+    first_view: View | None = None,
+    units: Units | None = None,
+    title: str | None = None,
+    dpi: int = 100,
+) -> Path:
+    """Write a run as a moving picture of the looks of `view`, beside curves that grow with time.
+
+        rx.animate(scene, run, "run.gif", curves={"kinetic": ledger.kinetic})
+
+    A frame takes about half a second to draw.
+
+    Args:
+        scene, run, colour, measures, measure_units: as those of `view`.
+        path: of the file, which ends in .gif or, with ffmpeg installed, in .mp4.
+        curves: values at the run's saved times, by their names; drawn below the rod.
+        curves_label: what they are, with their unit.
+        magnify, first_view, units, title: as those of `view`; in parallel projection.
+        frames: most pictures, of saved states nearest to equal spacing in time.
+        seconds: that the film takes.
+        dpi: pixels an inch; the picture is 9 inches wide.
+
+    Returns:
+        The path.
+
+    Raises:
+        ValueError: scene, run, measures and curves do not fit each other, there is nothing to show,
+            or the file cannot be of this kind here.
+    """
+    from matplotlib.animation import FFMpegWriter, PillowWriter
+    from matplotlib.figure import Figure
+
+    check_scalar(seconds=seconds, **given(magnify=magnify))
+    check_positive(seconds=seconds, **given(magnify=magnify))
+    check_integer(10, 1000, dpi=dpi)
+    path = Path(path)
+    kinds = {".gif": PillowWriter, ".mp4": FFMpegWriter}
+    if path.suffix.lower() not in kinds:
+        raise ValueError(f"path: name a file that ends in .gif or .mp4, got {str(path)!r}")
+    writer = kinds[path.suffix.lower()]
+    if not writer.isAvailable():
+        raise ValueError("path: mp4 needs the program ffmpeg, which is not installed; take .gif")
+    few = picked(scene, run, colour, measures, measure_units, frames, units)
+    count = len(np.asarray(few.states.time))
+    if not count:
+        raise ValueError(f"run: there is nothing to show: {'; '.join(few.alarms)}")
+    lines = {
+        name: np.atleast_1d(np.asarray(values, float)) for name, values in (curves or {}).items()
+    }
+    for name, values in lines.items():
+        if values.shape != (few.count,):
+            raise ValueError(
+                f"curves: {name!r} must have a value for each of the {few.count} saved states, got"
+                f" shape {values.shape}"
+            )
+    every = np.asarray(few.all_times, float)
+    page = _Page(few, first_view, magnify)
+    wide, tall = page.high - page.low
+    height = float(np.clip(7.5 * tall / wide, 2.2, 7.0))
+    figure = Figure(figsize=(9.0, height + 0.9 + (2.4 if lines else 0.0)), layout="constrained")
+    ratios = {"height_ratios": [height, 2.2]} if lines else {}
+    rows = figure.subplots(1 + bool(lines), 1, squeeze=False, gridspec_kw=ratios)[:, 0]
+    if few.colour >= 0:
+        shown = few.measures[few.colour]
+        bar = figure.colorbar(page.colors, ax=rows[0], fraction=0.03, pad=0.01)
+        bar.set_label(f"{shown.name} [{shown.unit}]" if shown.unit else shown.name)
+    heading = heading_of(few.scene) if title is None else title
+    words = "; ".join([heading, *page.notes, *few.alarms])
+    path.parent.mkdir(parents=True, exist_ok=True)
+    film = writer(fps=max(1, round(count / seconds)))
+    with film.saving(figure, str(path), dpi=dpi):
+        for index in range(count):
+            page.draw(rows[0], index)
+            rows[0].set_title(words, loc="left", fontsize=10)
+            if lines:
+                _grow(rows[1], every, lines, page.times[index], f"time [{few.units.time}]")
+                rows[1].set_ylabel(curves_label)
+            if not index:  # laid out once: nothing jumps
+                figure.canvas.draw()
+                figure.set_layout_engine("none")
+            film.grab_frame()
+    return path
+
+
+def _grow(axes, times, lines: Mapping[str, np.ndarray], now: float, label: str) -> None:
+    """Curves up to a time, in axes that have room for all of them."""
+    axes.clear()
+    past = times <= now
+    for name, values in lines.items():
+        (line,) = axes.plot(times[past], values[past], label=name, linewidth=1.5)
+        axes.plot(times[past][-1:], values[past][-1:], "o", markersize=4, color=line.get_color())
+    known = np.concatenate([values[np.isfinite(values)] for values in lines.values()])
+    low, high = np.min(known, initial=0.0), np.max(known, initial=0.0)
+    room = 0.05 * (high - low) or 1.0
+    axes.set(xlim=(times[0], times[-1]), ylim=(low - room, high + room), xlabel=label)
+    axes.grid(alpha=0.3)
+    axes.legend(fontsize=9, loc="upper left")
+
+
+class _Page:
+    """A run in parallel projection, state by state."""
+
+    def __init__(self, few: Picked, first_view: View | None, magnify: float | None):
+        from matplotlib.cm import ScalarMappable
+        from matplotlib.colors import LinearSegmentedColormap, LogNorm, Normalize
+
+        self.few, rod = few, few.scene.rod
+        self.times = np.asarray(few.states.time, float)
+        self.position = np.asarray(few.states.position, float)
+        points = self.position.reshape(-1, 3)
+        box = proportions(rod, points)
+        thicker = magnified(box) if magnify is None else float(magnify)
+        self.diameter = thicker * box.diameter
+        axes, tilted = axes_of(points, first_view)
+        self.view = _aside(axes) if tilted else View(tuple(axes[0]), tuple(axes[1]))
+        self.flat = self.view.axes()[:2]
+        margin = 0.75 * float(np.max(self.diameter)) + 0.03 * box.size
+        at = points @ self.flat.T
+        self.low, self.high = np.min(at, 0) - margin, np.max(at, 0) + margin
+        short = 0.5 * np.maximum(0.15 * np.max(self.high - self.low) - (self.high - self.low), 0.0)
+        self.low, self.high = self.low - short, self.high + short
+        corners = box.origin - box.half, box.origin + box.half
+        # of the page's own, whose places are measured from its origin
+        self.origin = box.origin
+        self.bodies, self.notes = bodies.obstacles(few.scene, self.times, *corners, box.origin)
+        if thicker != 1:
+            self.notes.append(f"tubes drawn {thicker:g} times as thick as they are")
+        self.holds = bodies.holds(few.scene)
+        if few.colour < 0:
+            self.values = np.zeros((len(self.times), rod.elements))
+            self.colors = ScalarMappable(Normalize(0.0, 1.0), "Blues")
+            return
+        measure = few.measures[few.colour]
+        low, high = colouring.bounds(measure)
+        signed = measure.scale == "signed"
+        stops = np.asarray(colouring.COLOURS["signed" if signed else "one"]) / 255
+        norm = LogNorm(10**low, 10**high) if measure.scale == "log" else Normalize(low, high)
+        stops = LinearSegmentedColormap.from_list("rods", stops)
+        self.colors = ScalarMappable(norm, stops)
+        values = measure.values
+        if values.shape[1] == rod.elements + 1:  # of elements the mean of both ends
+            values = 0.5 * (values[:, :-1] + values[:, 1:])
+        least = 10**low if measure.scale == "log" else -np.inf
+        self.values = np.maximum(np.nan_to_num(values), least)
+
+    def draw(self, axes, index: int) -> None:
+        """One state."""
+        from matplotlib.collections import LineCollection
+
+        axes.clear()
+        few, time = self.few, self.times[index]
+        for body in self.bodies:
+            shift = np.zeros(3)
+            if body["shift"] is not None:
+                shift = from_text(body["shift"], "<f4").reshape(-1, 3)[index]
+            for patch in body["patches"]:
+                points = from_text(patch["points"], "<f4").astype(float)
+                grid = points.reshape(patch["rows"], patch["columns"], 3) + self.origin + shift
+                grid = grid @ self.flat.T
+                net = [*grid, *np.swapaxes(grid, 0, 1)]
+                axes.add_collection(
+                    LineCollection(net, colors="#7f8c99", linewidths=0.4, alpha=0.6)
+                )
+        for hold in self.holds:
+            span = [s for s in hold["spans"] if s["after"] is None or s["after"] <= time][-1]
+            if span["kind"] is not None:
+                place = self.flat @ self.position[index, hold["node"]]
+                mark = "o" if span["kind"] == "ball" else "s"
+                axes.plot(*place, mark, color="#3b454f", markersize=7, zorder=0.5)
+        tube(
+            axes,
+            self.position[index],
+            np.asarray(few.states.quaternion)[index],
+            self.diameter,
+            self.values[index],
+            colors=self.colors,
+            view=self.view,
+            stripe=True,
+            sides=16,
+            breaks=few.scene.rod.breaks,
+        )
+        axes.set(xlim=(self.low[0], self.high[0]), ylim=(self.low[1], self.high[1]))
+        axes.set_xlabel(f"t = {time:.4g} {few.units.time}, lengths in {few.units.length}")
+        axes.spines[["top", "right"]].set_visible(False)
+
+
+def _aside(axes: np.ndarray) -> View:
+    """The first view of a page, from a little to the right and above."""
+    right, up, towards = axes
+    flat = np.cos(YAW) * towards + np.sin(YAW) * right
+    back = np.cos(PITCH) * flat + np.sin(PITCH) * up
+    aside = np.cross(up, back)
+    return View(tuple(aside.tolist()), tuple(np.cross(back, aside).tolist()))
