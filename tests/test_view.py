@@ -257,12 +257,18 @@ def test_values_survive_packing():
     assert colouring.bounds(one) == (0.0, 4.0)
 
 
-def test_lumps_are_where_they_are():
+def test_lumps_and_bodies_are_where_they_are():
     rod = rx.straight_rod(1.0, 4, UNIT_SECTION)
     lumps = rx.Lump(-1, 1.0, offset=(0.0, 0.1, 0.0)), rx.Lump(2, 1.0, volume=np.pi / 6)
-    last, ball = bodies.lumps(rx.Scene(rod, lumps=lumps))
-    assert last == {"node": 4, "offset": [0.0, 0.1, 0.0], "radius": None}
-    assert ball["node"] == 2 and ball["radius"] == pytest.approx(0.5)
+    # of a uniform box of sides 1, 2 and 3, and a mass of 12
+    body = rx.Body(12.0, (13.0, 10.0, 5.0), (1.0, 0.0, 0.0))
+    scene = rx.Scene(rod, lumps=lumps, bodies=(body,))
+    last, ball, box = bodies.lumps(scene)
+    assert (last["node"], last["offset"], last["radius"]) == (4, [0.0, 0.1, 0.0], None)
+    assert ball["node"] == 2 and ball["radius"] == pytest.approx(0.5) and ball["halves"] is None
+    assert box["node"] == 5 and box["halves"] == pytest.approx([0.5, 1.0, 1.5])
+    page = rx.view(scene)
+    assert told(page)["parts"] == [[0, 4]] and page.title == "a rod of 4 elements and 1 body"
 
 
 def test_no_hold_is_no_mark():

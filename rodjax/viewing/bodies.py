@@ -44,16 +44,35 @@ def _kind(held: Held, time: float | None) -> dict[str, Any]:
 
 
 def lumps(scene: Scene) -> list[dict[str, Any]]:
-    """Bodies fixed to nodes: their centres in the frames of these, and radii where known [m]."""
+    """Bodies, by themselves or fixed to nodes: where they are, in the frames of their nodes.
+
+    One with moments of inertia is drawn as the box of uniform density that has them, another as the
+    ball that displaces its volume, or as a mark.
+    """
     found = []
     for lump in scene.rod.lumps:
         offset = np.zeros(3) if lump.offset is None else np.asarray(lump.offset, float)
-        # that of the ball which displaces as much
-        volume = None if lump.volume is None else float(lump.volume)
-        radius = None if not volume else float(np.cbrt(3 * volume / (4 * np.pi)))
+        volume = 0.0 if lump.volume is None else float(lump.volume)
+        radius = float(np.cbrt(3 * volume / (4 * np.pi))) or None
+        halves = axes = None
+        if lump.inertia is not None:
+            halves, axes = box_of(float(lump.mass), np.asarray(lump.inertia, float))
         node = lump.place(scene.rod.parts)
-        found.append({"node": node, "offset": offset.tolist(), "radius": radius})
+        shape = {"radius": radius, "halves": halves, "axes": axes}
+        found.append({"node": node, "offset": offset.tolist(), **shape})
     return found
+
+
+def box_of(mass: float, inertia: Float[np.ndarray, "..."]) -> tuple[list[float], list[list[float]]]:
+    """Half sides and axes (rows) of the uniform box of a mass and of moments of inertia."""
+    moments, axes = inertia, np.eye(3)
+    if inertia.ndim == 2:
+        moments, columns = np.linalg.eigh(inertia)
+        axes = columns.T
+    squares = 6 / mass * (np.sum(moments) - 2 * moments)
+    # of a flat body some thickness, to be seen
+    sides = np.sqrt(np.maximum(squares, 1e-3 * np.max(np.abs(squares))))
+    return (0.5 * sides).tolist(), axes.tolist()
 
 
 def obstacles(

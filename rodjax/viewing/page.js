@@ -248,8 +248,9 @@
     byId("trouble").style.display = "flex";
     byId("trouble").textContent = frames
       ? "This browser gives the page no WebGL 2, which the picture needs."
-      : data.notes.map((note) => note.text).join("\n");
+      : "There is nothing to show.";
     document.body.dataset.ready = frames ? "no webgl" : "empty";
+    canvas.style.display = "none";
     if (!gl) return;
   }
 
@@ -511,8 +512,14 @@
       let centre = point(lump.node);
       frame.forEach((d, k) => { centre = add(centre, d, lump.offset[k]); });
       const thick = state.thickness * data.diameter[Math.min(lump.node, nodes - 2)];
+      const brown = [0.72, 0.5, 0.3, 1];
+      if (lump.halves) { // a box; its axes are given in the frame of the node
+        const sides = lump.axes.map((a) => add(add(scaled(frame[0], a[0]), frame[1], a[1]), frame[2], a[2]));
+        paint(boxMesh, placed(sides, centre, lump.halves), brown);
+        continue;
+      }
       const size = lump.radius || Math.max(0.015 * data.size, 0.9 * thick);
-      paint(ballMesh, placed(frame, centre, [size, size, size]), [0.72, 0.5, 0.3, 1]);
+      paint(ballMesh, placed(frame, centre, [size, size, size]), brown);
     }
     gl.enable(gl.BLEND);
     gl.blendFunc(gl.SRC_ALPHA, gl.ONE_MINUS_SRC_ALPHA);
@@ -741,7 +748,9 @@
     if (state.playing) play(false);
     show(Number(event.target.value));
   });
-  if (frames < 2) ["play", "frame"].forEach((id) => { byId(id).disabled = true; });
+  const idle = frames ? ["play", "frame"]
+    : ["play", "frame", "speed", "colour", "thickness", "stripe", "home"];
+  if (frames < 2) idle.forEach((id) => { byId(id).disabled = true; });
 
   let held = null, touched = false;
   canvas.addEventListener("pointerdown", (event) => {

@@ -205,7 +205,7 @@ def proportions(rod: Rod, points: Float[np.ndarray, "p 3"]) -> Proportions:
     low, high = np.min(points, 0), np.max(points, 0)
     assumed = rod.diameter is None
     if rod.diameter is None:
-        length = float(np.sum(np.asarray(rod.length))) / len(rod.parts)
+        length = float(np.sum(np.asarray(rod.length))) / len(rod.strands)
         diameter = np.full(rod.elements, length / 200)
     else:
         diameter = np.asarray(rod.diameter, float)
@@ -240,8 +240,9 @@ def magnified(box: Proportions) -> float:
 
 
 def heading_of(scene: Scene) -> str:
-    parts = scene.rod.parts
+    parts, beside = scene.rod.strands, len(scene.rod.bodies)
+    bodies = f" and {beside} bod{'ies' if beside > 1 else 'y'}" if beside else ""
     counts = [part.last - part.first for part in parts]
     if len(parts) == 1:
-        return f"a rod of {counts[0]} elements"
-    return f"{len(parts)} rods of {', '.join(map(str, counts))} elements"
+        return f"a rod of {counts[0]} elements{bodies}"
+    return f"{len(parts)} rods of {', '.join(map(str, counts))} elements{bodies}"

@@ -84,8 +84,8 @@ def view(
 
     Tubes are of the rods' own diameters, or so many times as thick as the page says; the black
     stripe follows the director a_1 and shows twist. Held nodes are plates (on a rail where they may
-    slide), pinned ones balls, and so are lumps, of their volume if they have one. While it plays,
-    nodes go straight from one saved state to the next.
+    slide), pinned ones balls; bodies are boxes of their moments of inertia, lumps without these
+    balls. While it plays, nodes go straight from one saved state to the next.
 
     Args:
         scene: of the run, which does not keep it; or a path, or what `storage.load` gave, alone.
@@ -133,7 +133,7 @@ def _data(few: Picked, first_view: View | None, magnify: float | None) -> dict[s
     return {
         "times": times.tolist(),
         "nodes": rod.elements + 1,
-        "parts": [[part.first, part.last] for part in rod.parts],
+        "parts": [[part.first, part.last] for part in rod.strands],
         "position": packing.as_text(position - box.origin, "<f4"),
         "quaternion": packing.frames_as_text(np.asarray(states.quaternion, float)),
         "origin": box.origin.tolist(),
