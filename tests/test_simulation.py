@@ -171,3 +171,6 @@ def test_progress_tells_time_and_steps(capsys):
     told = capsys.readouterr().err
     assert "0%|" in told and "t = 1 of 3, compiling" in told
     assert " 50%|" in told and "t = 2 of 3, 17 steps" in told
+    with showing(True, 0.0, 0.3) as show:
+        show(float(np.float32(0.3)), 18)  # as single precision has the end, a little later
+    assert "100%|" in capsys.readouterr().err

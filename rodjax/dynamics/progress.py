@@ -36,7 +36,8 @@ def showing(
             if time - begun > 0.02 * (until - begun):  # before it would be a guess
                 bar.bar_format = line.replace("{elapsed}", "{elapsed}<{remaining}")
             bar.set_description_str(f"t = {time:.4g} of {until:.4g}, {steps} steps", refresh=False)
-            bar.update(time - begun - bar.n)
+            # in single precision the end may be a little later
+            bar.update(min(time, until) - begun - bar.n)
 
         yield show
         bar.refresh()
