@@ -101,17 +101,28 @@ contact = example.contact_law(example.PRESETS["timeline"])
 # %% [markdown]
 # ## The scene and its motion
 #
-# A scene puts these together. `start` makes velocities, accelerations and forces consistent with
-# the constraints; `adaptive_rollout` chooses the steps by the local error. The first call compiles
-# the step, which takes longer than the run.
+# A scene puts these together. `simulate` makes velocities, accelerations and forces at the start
+# consistent with the constraints and chooses the steps by the local error. The first call compiles
+# the step, which takes longer than the run. Ctrl-C (or the notebook's stop button) returns what
+# there is by then.
 
 # %%
-from rodjax import Scene, StepControl, adaptive_rollout, start
+from rodjax import Scene, StepControl, simulate
 
 scene = Scene(rod, right_end, left_end, loads=(drag,), contact=contact)
 end_time = 26.0 if contact is None else 32.0  # strands would pass through each other without it
-run = adaptive_rollout(scene, start(scene), end_time, control=StepControl(max_step=0.36))
+run = simulate(scene, end_time, control=StepControl(max_step=0.36))
 print(f"{len(run.times) - 1} steps to {run.times[-1]:g} s")
+
+# %% [markdown]
+# ## To look at
+#
+# Drag to turn, play, choose what the colours mean. `.save("run.html")` makes a file of it.
+
+# %%
+from rodjax import view
+
+view(scene, run, title="A twisted rod loops and intertwines")
 
 # %% [markdown]
 # ## Shapes
