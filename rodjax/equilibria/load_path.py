@@ -113,7 +113,8 @@ def equilibrium(
 
     Where neither end holds the spin of the rod about itself (a cable between pins, or hung from
     one) and turning all cross-sections about their tangents costs no energy, they stay as they
-    were turned. A rod held at one pin swings to where its loads hold it.
+    were turned. A rod held at one pin swings to where its loads hold it. So does a body by itself,
+    and one that turns about its joint at no cost stays as it was turned.
 
     `EquilibriumInfo.unstable` counts the unstable modes; `stability` finds them.
 
@@ -208,11 +209,20 @@ def _equilibrium(
         return Equations.of(scene, rest, before, time)
 
     equations = resisted(None)
+    kept = None
+    if hold.bodies:
+        # so little that what costs energy follows the scene all the same
+        turns = newton.constant(spin_resistance(fixed, hold._replace(spin=False)))
+        kept = jnp.sqrt(jnp.finfo(turns.dtype).eps) * turns
     if hold.spin:
         # a spin that costs no energy stays also when the scene changes
-        resistance = newton.constant(spin_resistance(fixed))
-        kept = spin_is_neutral(newton.constant(resisted(resistance)), path.x)
-        equations = resisted(jnp.where(newton.constant(kept), resistance, 0.0))
+        spins = newton.constant(spin_resistance(fixed, hold._replace(bodies=False)))
+        resistance = spins if kept is None else spins + kept
+        neutral = spin_is_neutral(newton.constant(resisted(resistance)), path.x)
+        spins = jnp.where(newton.constant(neutral), spins, 0.0)
+        kept = spins if kept is None else spins + kept
+    if kept is not None:
+        equations = resisted(kept)
     x = newton.root(equations, path.x)
     motion = equations.motion(x)
     zero = jnp.zeros_like(state.rate)

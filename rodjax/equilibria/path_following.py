@@ -16,7 +16,7 @@ sigma/2 |motion|^2. The resistance sigma is kept within 1.5 to 3 times what make
 
 A spin of the rod about itself that no end holds is resisted at node 0 in every step, and the last
 step repeated until it rests: a spin that costs no energy stays what it is, and one that does turns
-to where it is balanced.
+to where it is balanced. So are turns of bodies about their joints.
 """
 
 from dataclasses import replace
@@ -24,6 +24,7 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
@@ -119,7 +120,7 @@ def follow(
     weight, norm = resisting_weight(scene), moving_weight(scene)
     patience = newton.PATIENCE if scene.contact is None else _PATIENCE
     elastic = scene.rod.mean_bending / jnp.sum(scene.rod.length) ** 2
-    spinning = spin_resistance(scene)
+    spinning = spin_resistance(scene, hold)
 
     def equations(
         target,
@@ -129,7 +130,7 @@ def follow(
         repeats: Array | float = 0.0,
     ):
         resistance = sigma * weight
-        if hold.spin:
+        if hold.spin or hold.bodies:
             # what does not rest at once costs energy, and needs the less resistance
             resistance = resistance + spinning * jnp.exp2(-2.0 * jnp.minimum(repeats, 10.0))
         rest = rest_on_path(reference, max_rotation, target, at_start, resistance)
@@ -140,6 +141,9 @@ def follow(
         going = path.reached < 1
         if hold.spin:
             going = going | (jnp.abs(path.x[0, 8]) > 10 * tolerance)
+        if hold.bodies:
+            turns = path.x[np.array(scene.rod.bodies), 6:]
+            going = going | (jnp.max(jnp.abs(turns)) > 10 * tolerance)
         return going & (path.step > smallest)
 
     def attempt(carry):
@@ -265,11 +269,18 @@ def follow(
     return path, descent.all_steps
 
 
-def spin_resistance(scene: Scene) -> Float[Array, "nodes 6"]:
-    """Resistance to the spin of node 0 about its tangent [N m], of the order of A/L."""
+def spin_resistance(scene: Scene, hold: Hold) -> Float[Array, "nodes 6"]:
+    """Resistance to the spin of node 0 about its tangent, and to turns of bodies by themselves,
+    where conventions hold them [N m], of the order of A/L.
+    """
     rod = scene.rod
     amount = rod.mean_bending / jnp.sum(rod.length)
-    return jnp.zeros((rod.elements + 1, 6), amount.dtype).at[0, 5].set(amount)
+    resistance = jnp.zeros((rod.elements + 1, 6), amount.dtype)
+    if hold.spin:
+        resistance = resistance.at[0, 5].set(amount)
+    if hold.bodies:
+        resistance = resistance.at[np.array(rod.bodies), 3:].set(amount)
+    return resistance
 
 
 def spin_is_neutral(equations: Equations[AtRest], x: Float[Array, "rows 9"]) -> Bool[Array, ""]:
