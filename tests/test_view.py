@@ -94,7 +94,7 @@ def test_obstacles_are_in_the_page_and_push():
     rod = rx.straight_rod(1.0, 4, UNIT_SECTION, direction=(1, 0, 0))
     moved = rx.Constant((0.0, 0.0, 0.02))
     plane = rx.Obstacle(rx.Plane((0, 0, -0.07)), 100.0, softness=1e-3, displacement=moved)
-    away = rx.Obstacle(rx.SignedDistance(lambda height, point: height - point[2], 3.0), 1.0)
+    away = rx.Obstacle(rx.SignedDistance(lambda height, point: height - point[2], 9.0), 1.0)
     scene = rx.Scene(rod, rx.Free(), loads=(plane, away))
     state = rx.placing(scene)
     sunk = dataclasses.replace(state, position=state.position - jnp.asarray([[0.0, 0.0, 0.01]]))
@@ -110,7 +110,7 @@ def test_obstacles_are_in_the_page_and_push():
     np.testing.assert_allclose(points[:, 2] + data["origin"][2], -0.07, atol=1e-6)
     shift = packing.from_text(body["shift"], "<f4").reshape(-1, 3)
     np.testing.assert_allclose(shift, [[0, 0, 0.02]] * 2, atol=1e-7)
-    assert "loads[1], a SignedDistance, is not drawn" in notes(page)
+    assert "loads[1], a SignedDistance, is not in the picture" in notes(page)
 
 
 def test_speed_and_tension_are_those_of_the_states():
@@ -143,7 +143,32 @@ def test_shapes_have_pictures():
     hill = rx.HeightField(-3.0 + np.outer([0, 1, 0], [0, 1, 0]))
     (ground,) = hill.patches(low, high)
     assert np.max(ground[..., 2]) == pytest.approx(-2.0, abs=1e-2)
-    assert rx.SignedDistance(lambda height, point: height - point[2], 3.0).patches(low, high) == []
+
+
+def test_a_signed_distance_has_a_picture():
+    # a torus of the radii 0.6 and 0.3
+    def torus(radii, point):
+        ring = jnp.sqrt(jnp.sum(point[:2] ** 2)) - radii[0]
+        return jnp.sqrt(ring**2 + point[2] ** 2) - radii[1]
+
+    shape, box = rx.SignedDistance(torus, jnp.array([0.6, 0.3])), np.full(3, 1.0)
+    assert shape.patches(-box, box) == []
+    found = bodies._found(shape, -box, box, 0 * box)
+    vertices = packing.from_text(found["vertices"], "<f4").reshape(-1, 6).astype(float)
+    faces = packing.from_text(found["faces"], "<u4").reshape(-1, 3)
+    points, normals = vertices[:, :3], vertices[:, 3:]
+    ring = np.linalg.norm(points[:, :2], axis=1) - 0.6
+    np.testing.assert_allclose(np.hypot(ring, points[:, 2]), 0.3, atol=1e-6)
+    np.testing.assert_allclose(normals[:, 2], points[:, 2] / 0.3, atol=1e-5)
+    a, b, c = (points[faces[:, k]] for k in range(3))
+    area = 0.5 * np.sum(np.linalg.norm(np.cross(b - a, c - a), axis=1))
+    assert area == pytest.approx(4 * np.pi**2 * 0.6 * 0.3, rel=0.01)
+    # closed: each edge is that of two triangles, and its holes are those of a torus
+    edges = np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), 1)
+    different, times = np.unique(edges, axis=0, return_counts=True)
+    assert np.all(times == 2) and len(points) - len(different) + len(faces) == 0
+    far = bodies._found(shape, box + 3, box + 4, 0 * box)
+    assert far is None
 
 
 def test_holds_are_in_the_page(scene, run):

@@ -44,7 +44,7 @@ class AbstractShape(eqx.Module):
     def patches(
         self, low: Float[np.ndarray, "3"], high: Float[np.ndarray, "3"]
     ) -> list[Float[np.ndarray, "i j 3"]]:
-        """Grids of points on the surface, to draw it by; none if it has no picture.
+        """Grids of points on the surface, to draw it by; none: it is found by its distance.
 
         Args:
             low, high: corners of the box that is looked at [m].

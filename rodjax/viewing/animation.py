@@ -161,6 +161,7 @@ class _Page:
         # of the page's own, whose places are measured from its origin
         self.origin = box.origin
         self.bodies, self.notes = bodies.obstacles(few.scene, self.times, *corners, box.origin)
+        self.notes += [f"{body['name']} is not drawn" for body in self.bodies if body["mesh"]]
         if thicker != 1:
             self.notes.append(f"tubes drawn {thicker:g} times as thick as they are")
         self.holds = bodies.holds(few.scene)

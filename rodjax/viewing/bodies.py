@@ -7,9 +7,16 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
+from rodjax.interactions import surfaces
+from rodjax.interactions.shapes import AbstractShape
 from rodjax.scenes.holds import Held
 from rodjax.scenes.scene import Scene
 from rodjax.viewing.packing import as_text
+
+# Points a side of the grid on which surfaces are looked for, and how far what is found may be moved
+# onto the surface then, over the side of the grid.
+_GRID = 48
+_NEAR = np.array([-1.0, 1.0]) / _GRID
 
 
 def holds(scene: Scene) -> list[dict[str, Any]]:
@@ -82,7 +89,7 @@ def obstacles(
     high: Float[np.ndarray, "3"],
     origin: Float[np.ndarray, "3"],
 ) -> tuple[list[dict[str, Any]], list[str]]:
-    """Surfaces of the scene's obstacles and how they are moved; what of them has no picture.
+    """Surfaces of the scene's obstacles and how they are moved; what of them is not to be seen.
 
     Args:
         times: of the frames [s].
@@ -94,10 +101,12 @@ def obstacles(
         shape: Any = getattr(load, "shape", None)
         if not hasattr(shape, "patches"):
             continue
-        patches = shape.patches(low, high)
+        patches, found = shape.patches(low, high), None
         if not patches:
-            unseen.append(f"loads[{index}], a {type(shape).__name__}, is not drawn")
-            continue
+            found = _found(shape, 1.5 * low - 0.5 * high, 1.5 * high - 0.5 * low, origin)
+            if found is None:
+                unseen.append(f"loads[{index}], a {type(shape).__name__}, is not in the picture")
+                continue
         shift, moved = None, getattr(load, "displacement", None)
         if moved is not None:
             shift = as_text(np.asarray(jax.vmap(moved)(jnp.asarray(times))), "<f4")
@@ -111,8 +120,27 @@ def obstacles(
                     }
                     for points in patches
                 ],
+                "name": f"loads[{index}]",
+                "mesh": found,
                 "shift": shift,
                 "inside": bool(getattr(shape, "inside", False)),
             }
         )
     return drawn, unseen
+
+
+def _found(shape: AbstractShape, low, high, origin) -> dict[str, str] | None:
+    """The surface of a shape within a box by its signed distance; None if it is not there."""
+    places = np.stack(np.meshgrid(*np.linspace(low, high, _GRID).T, indexing="ij"), -1)
+    distances = np.asarray(jax.vmap(shape.distance)(jnp.asarray(places.reshape(-1, 3))))
+    if not np.any(distances < 0) or not np.any(distances > 0):
+        return None
+    points, quads = surfaces.net(distances.reshape([_GRID] * 3), low, high)
+    for _ in range(3):  # onto the surface
+        away, normal = jax.vmap(shape.distance_and_normal)(jnp.asarray(points))
+        normal = np.asarray(normal)
+        normal = normal / np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-9)
+        points = points - np.clip(np.asarray(away)[:, None], *_NEAR * (high - low).max()) * normal
+    faces = np.concatenate([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]])
+    vertices = np.concatenate([points - origin, normal], 1)
+    return {"vertices": as_text(vertices, "<f4"), "faces": as_text(faces, "<u4")}

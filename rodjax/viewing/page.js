@@ -335,8 +335,12 @@
   const ballMesh = mesh(ball()), boxMesh = mesh(box());
   const bodies = data.bodies.map((body) => ({
     ...body,
-    meshes: body.patches.map((p) =>
-      mesh(patch(p.rows, p.columns, new Float32Array(bytes(p.points))))),
+    meshes: [
+      ...body.patches.map((p) =>
+        mesh(patch(p.rows, p.columns, new Float32Array(bytes(p.points))))),
+      ...(body.mesh ? [arrays(new Float32Array(bytes(body.mesh.vertices)),
+        new Uint32Array(bytes(body.mesh.faces)), 6)] : []),
+    ],
     shift: body.shift ? new Float32Array(bytes(body.shift)) : null,
   }));
 
@@ -532,7 +536,7 @@
       const model = placed([[1, 0, 0], [0, 1, 0], [0, 0, 1]], shift, [1, 1, 1]);
       for (const made of body.meshes) {
         paint(made, model, [0.62, 0.68, 0.75, body.inside ? 0.22 : 0.5]);
-        paint(made, model, [0.35, 0.42, 0.5, 0.25], true);
+        if (made.edges) paint(made, model, [0.35, 0.42, 0.5, 0.25], true);
       }
     }
     gl.depthMask(true);
