@@ -116,6 +116,7 @@ def test_a_cable_in_a_current_streams_at_its_critical_angle():
     assert int(info.unstable) == 0
 
 
+@pytest.mark.slow
 def test_a_catenary_between_two_pins():
     """Span d of a chain of length L: d = 2 H/w asinh(w L / 2 H)."""
     bend = 1.2

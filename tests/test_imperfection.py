@@ -126,6 +126,7 @@ def test_a_twisted_shaft_leaves_its_axis():
     assert bent[1] > 5 * bent[0]
 
 
+@pytest.mark.slow
 def test_amplitude_is_the_deviation_of_the_shape_at_rest():
     rod = imperfect(straight(), amplitude=0.01)
     scene = column(rod, CLAMP, FREE)

@@ -130,7 +130,8 @@ def pendulum(angles, times):
     return np.stack([np.sin(p) + 0.7 * np.sin(q), -np.cos(p) - 0.7 * np.cos(q)], 1)
 
 
-@pytest.mark.parametrize("kind", ["ball", pytest.param("hinge", marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["ball", "hinge"])
 def test_double_pendulum(kind):
     angles = 0.5, 0.9
     down = lambda angle: (np.sin(angle), 0.0, -np.cos(angle))

@@ -70,6 +70,7 @@ def booked(scene, state, until, steps):
     return run, energy.ledger(scene, run)
 
 
+@pytest.mark.slow
 def test_a_bed_that_stores_and_damps():
     """m x'' + c x' + k x = 0, v(0) = 2: the oscillator's own energies."""
     c = 1.0

@@ -65,6 +65,7 @@ class Torsionless(rx.Pinned):
         return jnp.diag(jnp.asarray([1.0, 1.0, 1.0, 0.0, 0.0, 1.0]))
 
 
+@pytest.mark.slow
 def test_a_beam_with_free_ends_on_two_supports():
     """At its quarter points: each carries half of the weight, and the middle does not bend.
 
@@ -183,6 +184,7 @@ def driven(amount):
     return scene, rx.rollout(scene, rx.start(scene), 0.0025 * jnp.arange(1.0, 121.0))
 
 
+@pytest.mark.slow
 def test_a_driven_support_moves_the_rod_and_its_work_is_booked():
     scene, run = driven(0.05)
     shift = scene.supports[0].end.displacement
