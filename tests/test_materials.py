@@ -6,7 +6,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from helpers import slow
 
 import rodjax as rx
 from rodjax.measuring.energy import ledger, strain_energy_density
