@@ -242,3 +242,13 @@ def test_rods_that_do_not_go_together(rods):
         rx.Scene(rods=(rods[0], without))
     with pytest.raises(ValueError, match="rods: give one rod as `rod` or several"):
         rx.Scene(rods[0], rods=rods)
+
+
+def test_the_rod_that_is_held_twice_is_named():
+    section = rx.circular_section(0.02, 1e6, 0.4e6, density=1500.0)
+    bent = rx.curved_rod([(0, 0, 0), (0.1, 0.04, 0), (0.2, 0, 0)], None, 4, section)
+    straight = rx.straight_rod(0.1, 4, section, direction=(0, 1, 0), origin=(1, 0, 0))
+    held = (rx.Clamped(), rx.Clamped())
+    scene = rx.Scene(rods=(bent, straight), first_end=held, last_end=held)
+    with pytest.raises(ValueError, match=r"they hold rods\[1\] twice .* along \(0, 1, 0\)"):
+        rx.start(scene)

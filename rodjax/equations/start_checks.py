@@ -97,10 +97,10 @@ def check_held_once(scene: Scene, state: State) -> None:
             " the rod (Slider), leave more nodes between them, or give the rod axial compliance"
             " (Section(compliance=(0, 0, 1 / EA)) or circular_section(extensible=True))"
         )
-    chord = np.asarray(state.position[-1] - state.position[0], float)
-    along = ", ".join(f"{x:.3g}" for x in chord / np.linalg.norm(chord))
+    which, chord = _straightest(scene, state)
+    along = ", ".join(f"{x:.3g}" for x in chord)
     raise ValueError(
-        f"{scene.holding}: they hold the rod twice in some direction, so its force there is not"
+        f"{scene.holding}: they hold {which} twice in some direction, so its force there is not"
         f" determined: inextensible and straight along ({along}), it cannot let its ends come"
         " nearer or part. Let one end slide along the rod (Slider), give the rod axial compliance"
         " (Section(compliance=(0, 0, 1 / EA)) or circular_section(extensible=True)), or place it"
@@ -108,6 +108,18 @@ def check_held_once(scene: Scene, state: State) -> None:
         # see `least_hold`
         f" {2**0.5 * _enough_hold(least.dtype):.2g} rad (root mean square) in {least.dtype.name}"
     )
+
+
+def _straightest(scene: Scene, state: State) -> tuple[str, Float[np.ndarray, "3"]]:
+    """Which of the rods of the scene is so nearest to it, and its direction."""
+    position, parts = np.asarray(state.position, float), scene.rod.parts
+    lengths = np.asarray(scene.rod.length, float)
+    chords = [position[part.last] - position[part.first] for part in parts]
+    sizes = [np.linalg.norm(chord) for chord in chords]
+    spare = [np.sum(lengths[part.elements]) - x for part, x in zip(parts, sizes, strict=True)]
+    i = int(np.argmin(np.asarray(spare) / [np.sum(lengths[part.elements]) for part in parts]))
+    name = f"rods[{i}]" if scene.rod.breaks else "the rod"
+    return name, chords[i] / sizes[i]
 
 
 def check_spin(scene: Scene, state: State) -> None:
