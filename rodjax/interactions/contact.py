@@ -59,6 +59,7 @@ class Contact(eqx.Module):
             cut-off is not known, as in traced code.
         friction: of the strands' surfaces, `SlidingFriction`; None: they are smooth.
         listed, shares: set by the scene, see `fitted`.
+        rings: set by the scene, which of several rods are closed; None: none of them.
         dual: set by the equations of a step, see `AbstractFriction.dual`.
     """
 
@@ -74,6 +75,7 @@ class Contact(eqx.Module):
     friction: AbstractFriction | None = None
     listed: int | None = eqx.field(static=True, default=None, repr=False)
     shares: tuple[int, ...] | None = eqx.field(static=True, default=None, repr=False)
+    rings: tuple[bool, ...] | None = eqx.field(static=True, default=None, repr=False)
     dual: Dual | None = eqx.field(default=None, repr=False)
 
     def __check_init__(self):

@@ -21,7 +21,8 @@ class Sites(NamedTuple):
     spacing: Float[Array, "*g"]  # of the points; of each segment where there are several rods
     diameter: Float[Array, "g p"]
     mass: Float[Array, "g p"] | None
-    around: Float[Array, ""] | None = None  # length of a closed rod, infinite if it is open
+    around: Float[Array, " *r"] | None = None  # lengths of closed rods, infinite of open ones
+    stride: Float[Array, ""] | None = None  # of several rods, between their arc lengths' zeros
 
     def weigh(self, at_a: Callable, at_b: Callable) -> Float[Array, "*q"]:
         """Product of the spacings of the points of two segments, which are taken from rows so."""
@@ -44,6 +45,7 @@ def sites_of(contact: Contact, rod: Rod, closed: bool | Bool[Array, ""] = False)
 
     Of several rods each has segments of its own, and between two of them stands one that is none.
     Their arc lengths are so far from each other that no exclusion reaches from one to the next.
+    Which of them are closed the contact knows (`Contact.rings`).
     """
     shares = contact.shared
     if len(shares) != len(rod.strands):
@@ -64,7 +66,14 @@ def sites_of(contact: Contact, rod: Rod, closed: bool | Bool[Array, ""] = False)
         found.append(own._replace(arc_length=own.arc_length + far, spacing=spacing))
     width = min(one.nodes.shape[1] for one in found)
     assert all(one.nodes.shape[1] == width for one in found)
-    return jax.tree.map(lambda *rows: jnp.concatenate(rows), *found)
+    whole = jax.tree.map(lambda *rows: jnp.concatenate(rows), *found)
+    if not contact.rings:
+        return whole
+    lengths = (jnp.sum(rod.length[part.elements]) for part in rod.parts)
+    around = [
+        x if ring else x + jnp.inf for x, ring in zip(lengths, contact.rings, strict=True)
+    ]
+    return whole._replace(around=lax.stop_gradient(jnp.stack(around)), stride=3 * total)
 
 
 def _sites_of_one(contact: Contact, rod: Rod, part: Part, segments: int) -> Sites:
@@ -109,7 +118,12 @@ def _between_rods(after: Sites, place: Float[Array, ""]) -> Sites:
 def along(sites: Sites, a, b, xp=jnp):
     """Distance along the rod between places on it [m], by numpy or jax.numpy."""
     direct = xp.abs(b - a)
-    return direct if sites.around is None else xp.minimum(direct, sites.around - direct)
+    if sites.around is None:
+        return direct
+    if sites.stride is None:
+        return xp.minimum(direct, sites.around - direct)
+    around = xp.asarray(sites.around)[xp.floor(a / sites.stride).astype("int32")]
+    return xp.where(direct < 0.5 * sites.stride, xp.minimum(direct, around - direct), direct)
 
 
 def _lagrange(nodes: Float[Array, "j k"], s: Float[Array, "j 1"]) -> Float[Array, "j k"]:

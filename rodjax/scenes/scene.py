@@ -110,6 +110,8 @@ class Scene(eqx.Module):
         given = (rod, first_end, last_end, loads, contact, supports, inner_ends, joints)
         for field, value in zip(dataclasses.fields(self), given, strict=True):
             setattr(self, field.name, value)
+        if isinstance(contact, Contact) and isinstance(rod, Rod) and rod.breaks:
+            self.contact = dataclasses.replace(contact, rings=scene_checks.rings_of(self))
 
     def __check_init__(self):
         scene_checks.check_kinds(self)

@@ -130,11 +130,6 @@ def check_joints(scene: "Scene") -> None:
             node = _node_of(scene, point, name)
             frames.append((node, (scene.rod.position[node], scene.rod.quaternion[node])))
         (a, first), (b, second) = frames
-        if scene.contact is not None and scene.rod.breaks and scene.welded(joint.first.rod):
-            raise ValueError(
-                f"joints[{i}]: contact of a ring beside other rods is not there (its ends would"
-                " repel each other); give the ring a scene of its own, or no contact"
-            )
         if a == b:
             raise ValueError(f"joints[{i}]: both points are at node {a}; give two nodes")
         with jax.ensure_compile_time_eval():
@@ -169,6 +164,18 @@ def _node_of(scene: "Scene", point: Point, name: str) -> int:
             f" {-last - 1} to -1, got {point.node}"
         )
     return node
+
+
+def rings_of(scene: "Scene") -> tuple[bool, ...] | None:
+    """Which of several rods are closed by a weld of their ends; None where none is."""
+    joints = scene.joints if isinstance(scene.joints, tuple) else ()
+    if not all(isinstance(joint, AbstractJoint) for joint in joints):
+        return None  # a check says so
+    try:
+        closed = tuple(scene.welded(i) for i in range(len(scene.rod.parts)))
+    except IndexError:  # a rod that is not there: a check says so
+        return None
+    return closed if any(closed) else None
 
 
 def check_inertialess(scene: "Scene") -> None:
