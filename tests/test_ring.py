@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 import rodjax as rx
+from rodjax.interactions.contact_report import report
 from rodjax.rods.strains import strains
 from rodjax.rods.winding import writhe_of
 
@@ -144,3 +145,26 @@ def test_frequencies_in_its_plane():
         errors.append(found[found > 0.1][:12] / theory - 1)
     np.testing.assert_allclose(errors[0] / errors[1], 4.0, rtol=0.06)
     np.testing.assert_allclose((4 * errors[1] - errors[0]) / 3, 0.0, atol=1e-3)
+
+
+def test_rings_touch_each_other_but_not_their_own_neighbours():
+    """Two that are linked, and a rod: beside a weld strands are neighbours, on any rod."""
+    section = rx.circular_section(0.02, 1e6, 0.4e6, density=1500.0)
+    one = rx.ring(1.0, 16, section, turns=0.5)
+    other = rx.ring(0.8, 12, section, center=(1.0 / (2 * np.pi), 0.0, 0.0), normal=(0, 1, 0))
+    rod = rx.straight_rod(0.3, 4, section, origin=(1.0, 0.0, 0.0))
+    welds = tuple(rx.Weld(rx.Point(0, rod=i), rx.Point(-1, rod=i)) for i in (1, 2))
+    contact = rx.Contact.solid(one, 10.0)
+    scene = rx.Scene(rods=(rod, one, other), contact=contact, joints=welds)
+    assert scene.contact.rings == (False, True, True)
+    run = rx.rollout(scene, rx.start(scene), jnp.asarray([1e-4]))
+    found = rx.measures.contacts(scene, run)
+    np.testing.assert_array_equal(found.total, 0.0)
+    # without the welds the ends of a ring are strands that meet
+    loose = rx.Scene(rods=(rod, one, other), contact=contact)
+    position, still = loose.rod.position, jnp.zeros_like(loose.rod.position)
+    assert float(report(loose.contact, loose.rod, position, still).total) > 1.0
+    # moved onto each other they push
+    moved = position.at[scene.rod.parts[2].nodes, 0].add(0.8 / (2 * np.pi) - 0.018)
+    pushed = report(scene.contact, scene.rod, moved, still)
+    assert 0.3 < float(pushed.smallest) < 1 and float(pushed.total) > 1.0

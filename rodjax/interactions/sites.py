@@ -70,9 +70,7 @@ def sites_of(contact: Contact, rod: Rod, closed: bool | Bool[Array, ""] = False)
     if not contact.rings:
         return whole
     lengths = (jnp.sum(rod.length[part.elements]) for part in rod.parts)
-    around = [
-        x if ring else x + jnp.inf for x, ring in zip(lengths, contact.rings, strict=True)
-    ]
+    around = [x if ring else x + jnp.inf for x, ring in zip(lengths, contact.rings, strict=True)]
     return whole._replace(around=lax.stop_gradient(jnp.stack(around)), stride=3 * total)
 
 
