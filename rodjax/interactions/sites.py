@@ -69,7 +69,7 @@ def sites_of(contact: Contact, rod: Rod, closed: bool | Bool[Array, ""] = False)
     whole = jax.tree.map(lambda *rows: jnp.concatenate(rows), *found)
     if not contact.rings:
         return whole
-    lengths = (jnp.sum(rod.length[part.elements]) for part in rod.parts)
+    lengths = (jnp.sum(rod.length[part.elements]) for part in rod.strands)
     around = [x if ring else x + jnp.inf for x, ring in zip(lengths, contact.rings, strict=True)]
     return whole._replace(around=lax.stop_gradient(jnp.stack(around)), stride=3 * total)
 

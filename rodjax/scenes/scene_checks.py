@@ -172,7 +172,7 @@ def rings_of(scene: "Scene") -> tuple[bool, ...] | None:
     if not all(isinstance(joint, AbstractJoint) for joint in joints):
         return None  # a check says so
     try:
-        closed = tuple(scene.welded(i) for i in range(len(scene.rod.parts)))
+        closed = tuple(scene.welded(i) for i in range(len(scene.rod.strands)))
     except IndexError:  # a rod that is not there: a check says so
         return None
     return closed if any(closed) else None
