@@ -1,5 +1,7 @@
 """Rigid bodies by themselves: joined to each other and to rods, held, driven, free."""
 
+import dataclasses
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -142,6 +144,38 @@ def test_states_of_rods_and_bodies(tumbling, tmp_path):
     again = rx.storage.load(tmp_path / "bodies.h5").scene
     assert jax.tree.structure(again) == jax.tree.structure(scene)
     assert "bodies=3" in repr(scene)
+
+
+def test_a_figure_marks_bodies(tumbling):
+    scene, run = tumbling
+    states = [run.state(0), run.final]
+    densities = [energy.strain_energy_density(scene.rod, state) for state in states]
+    figure = rx.plot.snapshots(scene.rod, states, densities)
+    marked = [line for line in figure.axes[0].lines if line.get_marker() == "s"]
+    assert len(marked) == 1 and len(marked[0].get_xdata()) == 3
+
+
+@pytest.mark.slow
+def test_rods_move_as_they_do_without_bodies():
+    """Viscous ones, actuated ones, supported ones."""
+    numbers = dict(mass=0.5, rotary_inertia=(1e-4, 1e-4, 1e-4))
+    viscous = rx.Section((1.0, 1.0, 1.0), material=rx.KelvinVoigt(1e-3), **numbers)
+    plain = rx.Section((1.0, 1.0, 1.0), **numbers)
+    one = rx.straight_rod(0.5, 4, viscous, direction=(1, 0, 0))
+    other = rx.straight_rod(0.5, 3, plain, direction=(1, 0, 0), origin=(0, 1, 0))
+    other = dataclasses.replace(other, actuation=rx.Constant((0.1, 0.0, 0.0)))
+    ends, found = (rx.Clamped(), rx.Free()), []
+    for bodies in ((), (UPPER, LOWER)):
+        support = rx.Support(2, rx.Pinned(), rod=1)
+        scene = rx.Scene(
+            rods=(one, other), first_end=ends, loads=(GRAVITY,), bodies=bodies, supports=(support,)
+        )
+        final = rx.rollout(scene, rx.start(scene), np.linspace(0.0, 0.05, 6)[1:]).final
+        reactions = energy.reactions(scene, final).force
+        found.append((final.position[:9], reactions[:4], reactions[-1]))
+        assert scene.holds[-1].name == "supports[0]"
+    for without, beside in zip(*found, strict=True):
+        np.testing.assert_allclose(beside, without, atol=1e-9)
 
 
 @pytest.fixture(scope="module")
