@@ -353,6 +353,16 @@ def test_ring_in_short_mode(tmp_path):
 
 
 @pytest.mark.slow
+def test_knot_in_short_mode(tmp_path):
+    _run("knot.py", "--quick", "--out", str(tmp_path))
+    (knot,) = json.loads((tmp_path / "summary.json").read_text())["runs"]
+    assert knot["result"] == 0 and knot["friction"] == 0.1
+    # a coarse braid, drawn for a moment
+    np.testing.assert_allclose(knot["over_theory"], 1, atol=0.3)
+    assert (tmp_path / "knot.png").exists()
+
+
+@pytest.mark.slow
 def test_capstan_in_short_mode(tmp_path):
     text = _run("capstan.py", "--quick", "--out", str(tmp_path))
     summary = json.loads((tmp_path / "summary.json").read_text())

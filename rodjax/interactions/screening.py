@@ -15,7 +15,7 @@ from rodjax.interactions.contact import Contact
 from rodjax.interactions.contact_capacities import capacities
 from rodjax.interactions.contact_graph import Graph
 from rodjax.interactions.contact_laws import PairProperties
-from rodjax.interactions.sites import Sites, along, interpolate
+from rodjax.interactions.sites import Sites, along, around_of, interpolate
 from rodjax.numerics import newton
 from rodjax.numerics.batching import largest, only_where
 
@@ -65,10 +65,10 @@ def search(
     half = 0.5 * sites.widest * (contact.points_per_segment - 1)
     vertices = interpolate(sites, position)
     middles = 0.5 * (vertices[1:] + vertices[:-1])
-    moved = None
+    moved = displaced = None
     if displacement is not None:
-        moved = interpolate(sites, displacement)
-        moved = 0.5 * (moved[1:] + moved[:-1])
+        displaced = interpolate(sites, displacement)
+        moved = 0.5 * (displaced[1:] + displaced[:-1])
     s = jnp.mean(sites.arc_length, 1)
     segment = jnp.arange(contact.vertices - 1)
     once = (segment[:, None] < segment[None, :]) & (
@@ -87,7 +87,7 @@ def search(
         near = once & (distance < contact.cutoff + motion + 2 * half)
         aperture = contact.acting_aperture
         if aperture is None:
-            return near
+            return near & ~_along_each_other(contact, sites, vertices, displaced)
         chord = vertices[1:] - vertices[:-1]
         chord = chord / jnp.sqrt(jnp.sum(chord**2, 1, keepdims=True))
         # inside an aperture: |r.t| cos(theta/2) <= |r - (r.t) t| sin(theta/2), within the slack
@@ -108,12 +108,58 @@ def search(
         return _listed(None, sizes, sites, position.shape[0])
 
     # most steps end here: nothing within the widest reach of all
-    reach = contact.cutoff + 2 * half
-    if moved is not None:
-        reach = reach + 3.0 * jnp.sqrt(jnp.max(jnp.sum(moved**2, 1)))
+    slack = jnp.zeros_like(half)
+    if displaced is not None:
+        slack = 3.0 * jnp.sqrt(jnp.max(jnp.sum(displaced**2, 1)))
+    reach = contact.cutoff + 2 * half + slack
     squared = sum(c**2 for c in _separations(middles))
-    maybe = jnp.any(once & (squared < reach**2))
+    near = once & (squared < reach**2)
+    if contact.acting_aperture is None:
+        near = near & ~_along_each_other(contact, sites, vertices, slack)
+    maybe = jnp.any(near)
     return lax.cond(largest(maybe.astype(jnp.int32)) > 0, some, none)
+
+
+def _along_each_other(
+    contact: Contact,
+    sites: Sites,
+    vertices: Float[Array, "j 3"],
+    moved: Float[Array, "j 3"] | Float[Array, ""] | None,
+) -> Bool[Array, "g g"]:
+    """Pairs of segments no points of which can act, since the rod between them is too straight.
+
+    Of a piece of length A whose ends are a chord c apart, points s along it from each other are
+    s - (A - c) apart at least. Those that may act are farther than `excluded` along the rod.
+    `moved` is the expected motion of the vertices, or by how much a chord may shorten.
+    """
+    width = sites.spacing * contact.points_per_segment
+    chords = jnp.sqrt(jnp.sum((vertices[1:] - vertices[:-1]) ** 2, 1))
+    # a stretched segment counts as long as it is, one that is compressed as it was
+    longest = jnp.cumsum(jnp.maximum(chords, width))
+    places = jnp.concatenate([jnp.zeros_like(longest[:1]), longest])
+    before, after = slice(None, -1), slice(1, None)
+
+    def squared(x, one, other):
+        return sum((x[None, other, k] - x[one, None, k]) ** 2 for k in range(3))
+
+    def straight(length, one, other):
+        slack = 0.0 if moved is None else moved
+        if moved is not None and moved.ndim > 0:
+            slack = 1.5 * jnp.sqrt(squared(moved, one, other))
+        needed = length + slack - (contact.excluded - contact.cutoff)
+        return squared(vertices, one, other) > needed * jnp.abs(needed)
+
+    found = straight(places[None, 1:] - places[:-1, None], before, after)
+    if sites.around is None:
+        return found
+    # of a ring the other way as well, stretched at most as any segment is
+    s = jnp.mean(sites.arc_length, 1)
+    begin, end = s - 0.5 * width, s + 0.5 * width
+    stretch = chords / width
+    if contact.idle is not None:
+        stretch = jnp.where(jnp.asarray(contact.idle), 0.0, stretch)
+    back = around_of(sites, s)[:, None] - (begin[None, :] - end[:, None])
+    return found | straight(back * jnp.maximum(jnp.max(stretch), 1.0), after, before)
 
 
 def _listed(near: Bool[Array, "g g"] | None, sizes, sites: Sites, nodes: int) -> NearPairs:

@@ -120,8 +120,16 @@ def along(sites: Sites, a, b, xp=jnp):
         return direct
     if sites.stride is None:
         return xp.minimum(direct, sites.around - direct)
-    around = xp.asarray(sites.around)[xp.floor(a / sites.stride).astype("int32")]
-    return xp.where(direct < 0.5 * sites.stride, xp.minimum(direct, around - direct), direct)
+    shorter = xp.minimum(direct, around_of(sites, a, xp) - direct)
+    return xp.where(direct < 0.5 * sites.stride, shorter, direct)
+
+
+def around_of(sites: Sites, s, xp=jnp):
+    """Length of the closed rod that a place is on, infinite where it is open."""
+    around = xp.asarray(sites.around)
+    if sites.stride is None:
+        return xp.broadcast_to(around, s.shape)
+    return around[xp.floor(s / sites.stride).astype("int32")]
 
 
 def _lagrange(nodes: Float[Array, "j k"], s: Float[Array, "j 1"]) -> Float[Array, "j k"]:
