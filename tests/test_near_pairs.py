@@ -84,6 +84,44 @@ def test_all_pairs_that_act_are_listed(seed, tightness, stretch, closed, moved):
     assert not missed
 
 
+RODS = (rx.straight_rod(0.5, 20, SECTION), rx.ring(0.5, 20, SECTION))
+WELD = rx.Weld(rx.Point(0, rod=1), rx.Point(-1, rod=1))
+SCENE = rx.Scene(rods=RODS, contact=CONTACT, joints=(WELD,))
+
+
+@settings(max_examples=30, deadline=None)
+@given(seed=st.integers(0, 10**6), near=st.floats(0.0, 0.1))
+def test_all_pairs_of_two_rods_are_listed(seed, near):
+    """However they lie to each other, in one line among others; each pair of points once."""
+    rng = np.random.default_rng(seed)
+    ring = np.asarray(RODS[1].position) @ np.linalg.qr(rng.normal(size=(3, 3)))[0]
+    rod = np.asarray(RODS[0].position) - np.asarray(RODS[0].position)[-1]
+    way = near * rng.normal(size=3) + rng.choice([0.0, 0.1]) * np.array([0.0, 0.0, 1.0])
+    position = jnp.asarray(np.concatenate([rod, ring - ring[0] + way]))
+    found, sites = found_in(SCENE, position)
+    vertices, s = np.asarray(interpolate(sites, position)), np.asarray(sites.arc_length)
+    part = (np.arange(4) + 0.5) / 4
+    points = vertices[:-1, None] + part[:, None] * (vertices[1:, None] - vertices[:-1, None])
+    expected = set()
+    idle, rod_of = SCENE.contact.idle, np.cumsum(SCENE.contact.idle)
+    for a in np.flatnonzero(~idle):
+        for b in np.flatnonzero(~idle):
+            apart = np.linalg.norm(points[a][:, None] - points[b][None], axis=-1)
+            along = np.abs(s[a][:, None] - s[b][None])
+            if rod_of[a] == rod_of[b] == 1:
+                along = np.minimum(along, 0.5 - along)
+            acts = (apart < float(CONTACT.cutoff)) & (along >= float(CONTACT.excluded))
+            if a < b and np.any(acts):
+                expected.add((a, b))
+    assert expected <= listed(found)
+
+
+@compiled
+def found_in(scene, position):
+    found = scene.find_contact(position)
+    return found.pairs, found.sites
+
+
 def test_a_straight_rod_and_a_wide_ring_list_none():
     still = jnp.zeros((41, 3))
     assert int(found_at(ROD.position, still, jnp.asarray(False))[0].count) == 0

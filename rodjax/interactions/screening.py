@@ -7,6 +7,7 @@ that Newton's equations are smooth.
 from typing import NamedTuple
 
 import jax.numpy as jnp
+import numpy as np
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
@@ -147,7 +148,8 @@ def _along_each_other(
         if moved is not None and moved.ndim > 0:
             slack = 1.5 * jnp.sqrt(squared(moved, one, other))
         needed = length + slack - (contact.excluded - contact.cutoff)
-        return squared(vertices, one, other) > needed * jnp.abs(needed)
+        found = squared(vertices, one, other) > needed * jnp.abs(needed)
+        return found if contact.idle is None else found & _of_one_rod(contact.idle)
 
     found = straight(places[None, 1:] - places[:-1, None], before, after)
     if sites.around is None:
@@ -160,6 +162,12 @@ def _along_each_other(
         stretch = jnp.where(jnp.asarray(contact.idle), 0.0, stretch)
     back = around_of(sites, s)[:, None] - (begin[None, :] - end[:, None])
     return found | straight(back * jnp.maximum(jnp.max(stretch), 1.0), after, before)
+
+
+def _of_one_rod(idle: Bool[np.ndarray, " g"]) -> Bool[Array, "g g"]:
+    """Which segments are of the same of several rods, between which these stand."""
+    rod = np.cumsum(idle)
+    return jnp.asarray(rod[:, None] == rod[None, :])
 
 
 def _listed(near: Bool[Array, "g g"] | None, sizes, sites: Sites, nodes: int) -> NearPairs:
