@@ -363,6 +363,17 @@ def test_knot_in_short_mode(tmp_path):
 
 
 @pytest.mark.slow
+def test_hockle_in_short_mode(tmp_path):
+    _run("hockle.py", "--quick", "--out", str(tmp_path))
+    summary = json.loads((tmp_path / "summary.json").read_text())
+    assert summary["result"] == 0
+    # with torsion the cable rises as slack is given, while it has but little
+    assert 8 < summary["leaves_the_bed"]["time"] < 9.5
+    assert abs(summary["ledger_residual"]) < 0.01 * summary["work"]
+    assert (tmp_path / "hockle.png").exists()
+
+
+@pytest.mark.slow
 def test_capstan_in_short_mode(tmp_path):
     text = _run("capstan.py", "--quick", "--out", str(tmp_path))
     summary = json.loads((tmp_path / "summary.json").read_text())
