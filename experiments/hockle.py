@@ -6,9 +6,9 @@ A cable of 10 m (EI = 15 N m^2, GJ = 12 N m^2, EA = 1 MN, 30 mm thick, 8 N/m in 
 strands: under tension it twists) lies on a seabed with friction. One end is turned, then comes
 nearer: the cable leaves the bed in an arch, throws a loop, which falls on its side and touches
 itself, and shrinks when the cable is pulled again, until it pops out. Beside the tensions stand
-those of theory for long cables without weight and friction: T = M^2/4A, below which a straight one is unstable
-(Greenhill), and the loop's T = 16 A/d^2, d its diameter, by which it pops out (Coyne). The smallest
-bend radius is what a cable must bear that is not to kink. Writes DIR/hockle.png and
+those of theory for long cables without weight and friction: T = M^2/4A, below which a straight one
+is unstable (Greenhill), and the loop's T = 16 A/d^2, d its diameter, by which it pops out (Coyne).
+The smallest bend radius is what a cable must bear that is not to kink. Writes DIR/hockle.png and
 DIR/summary.json.
 """
 
