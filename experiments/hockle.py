@@ -7,9 +7,9 @@ strands: under tension it twists) lies on a seabed with friction. One end is tur
 nearer: the cable leaves the bed in an arch, throws a loop, which falls on its side and touches
 itself, and shrinks when the cable is pulled again, until it pops out. Beside the tensions stand
 those of theory for long cables without weight and friction: T = M^2/4A, below which a straight one
-is unstable (Greenhill), and T = 16 A/d^2 of a loop that reaches d from the line of the ends and is
-about to pop out (Coyne). The smallest bend radius is what a cable must bear that is not to kink.
-Writes DIR/hockle.png and DIR/summary.json.
+is unstable (Greenhill), and T = 16 A/d^2, by which a loop pops out, d the slack in it (Coyne). The
+smallest bend radius is what a cable must bear that is not to kink. Writes DIR/hockle.png and
+DIR/summary.json.
 """
 
 import argparse
@@ -77,7 +77,7 @@ def story(turns: float, elements: int, slack: float, until: float) -> dict:
     """The run and its measures at the saved times."""
     scene, began = scene_of(turns, elements, slack), time.perf_counter()
     control = rx.StepControl(relative=3e-3, absolute=1e-3)  # snaps are to keep their energy
-    run = rx.simulate(scene, until, every=0.1, control=control)
+    run = rx.simulate(scene, until, control=control)
     seconds = time.perf_counter() - began
     of_ends = rx.jit(
         lambda scene, states: jax.lax.map(lambda state: rx.energy.reactions(scene, state), states)
@@ -121,17 +121,17 @@ def milestones(told: dict) -> dict:
             "tension": float(tension[i]),
             "greenhill": float(torque[i] ** 2 / (4 * EI)),
         }
-    pulled = (t > TIMES[4]) & (told["strands"] > 0)
+    pulled = (t > TIMES[4]) & (told["strands"] > 1.0)
     if np.any(pulled):
         i = int(np.flatnonzero(pulled)[-1])
-        # how far the loop reaches from the line of the ends
-        shape = told["shapes"][i]
-        diameter = float(np.max(np.linalg.norm(shape[:, 1:] - shape[0, 1:], axis=1)))
+        # how much longer the cable is than its ends are apart
+        ends = np.linalg.norm(told["shapes"][i][-1] - told["shapes"][i][0])
+        slack = float(LENGTH * (1 + tension[i] / EA) - ends)
         found["pops_out"] = {
             "time": float(t[i]),
             "tension": float(tension[i]),
-            "diameter": diameter,
-            "coyne": 16 * EI / diameter**2,
+            "slack": slack,
+            "coyne": 16 * EI / slack**2,
         }
     return found
 
@@ -193,8 +193,8 @@ def main(argv=None) -> int:
     if "pops_out" in found:
         one = found["pops_out"]
         print(
-            f"{one['time']:.1f} s: pops out at a tension of {one['tension']:.0f} N from a loop of"
-            f" {one['diameter']:.3f} m (16 A/d^2 {one['coyne']:.0f} N)"
+            f"{one['time']:.1f} s: pops out at a tension of {one['tension']:.0f} N with a slack"
+            f" of {one['slack']:.3f} m (16 A/d^2 {one['coyne']:.0f} N)"
         )
     print(
         f"smallest bend radius {found['smallest_bend_radius']:.3f} m; {told['steps']} steps,"
