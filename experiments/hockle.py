@@ -152,7 +152,7 @@ def figure(path: Path, told: dict) -> None:
     axes[2].set(ylabel="highest point [m]")
     axes[3].semilogy(t, 1 / np.maximum(told["bend"], 1e-3))
     axes[3].axhline(DIAMETER, color="0.6", lw=1)
-    axes[3].set(ylabel="smallest bend radius [m] (grey: the diameter)")
+    axes[3].set(ylabel="smallest bend radius [m]", title="grey: the diameter")
     for axis in axes:
         axis.set(xlabel="time [s]")
     chosen = np.linspace(TIMES[2] + 0.1 * LETTING, t[-1], 8)

@@ -68,7 +68,8 @@ def simulate(
         begin: a run to go on with, or a state to begin from; default `start(scene)`.
         dt: largest step [s]; between two times at which steps must end they are equal. Default:
             chosen by the error.
-        every: time between saved states [s]. Default: every step is saved.
+        every: time between saved states [s]. Default: every step is saved, which the energy
+            ledger needs where something snaps or slips.
         times: at which states are saved, instead of `every` [s]; steps end on them exactly. The
             state at the begin is saved too, and the last.
         method: the time integration; default `GeneralizedAlpha()`.

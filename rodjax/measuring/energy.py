@@ -64,6 +64,10 @@ class Ledger(NamedTuple):
     contacts: stored there as `contact_energy` or lost. With an aperture, which leaves the forces
     without potential, all of it counts as lost. Losses are positive when energy is lost.
 
+    Work and losses are summed over the saved states, by the trapezoidal rule between them: what
+    snaps or slips within fewer steps than are saved is missed, and stands in `residual`. Save every
+    step of such a run.
+
     Attributes:
         time: [s]; all that follows [J].
         drive_work: done by the prescribed motion of ends, supports and obstacles.
