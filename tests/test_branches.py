@@ -62,6 +62,7 @@ def test_a_crooked_column_ends_bent(thrust, crooked, load_steps):
     assert float(jnp.max(jnp.abs(state.position[:, :2]))) > 0.3
 
 
+@pytest.mark.slow
 def test_a_perfect_column_stays_straight_and_says_so():
     scene = column(1.5 * EULER)
     with pytest.warns(ModelWarning, match=r"2 unstable mode\(s\) that nothing in the scene"):

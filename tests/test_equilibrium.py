@@ -233,6 +233,7 @@ def test_driven_end_twists_a_straight_rod_by_its_torque():
     np.testing.assert_allclose(again.quaternion, state.quaternion, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_an_equilibrium_stays_where_it_is():
     scene = cantilever(32, force=(1.0, 2.0, -1.0), follower=(0.0, 1.0, 0.0), gravity=2.0)
     state, _ = equilibrium(scene, placing(scene))

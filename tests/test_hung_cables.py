@@ -93,6 +93,7 @@ def test_derivative_by_the_pull():
     np.testing.assert_allclose(jax.jvp(tip, (pull,), (jnp.ones(()),))[1], slope, atol=1e-7)
 
 
+@pytest.mark.slow
 def test_a_torque_that_nothing_balances_fails():
     scene = hung(torque=1e-4)
     _, info = equilibrium(scene, placing(scene), throw=False)

@@ -8,6 +8,7 @@ import pytest
 from helpers import UNIT_SECTION, order_of
 from made_runs import AXIS, ELEMENTS, hanging, run_over, start, state_of
 
+import rodjax as rx
 from rodjax import energy
 from rodjax.constraints.ends import Clamped, Free, Slider, Switched, Turn
 from rodjax.inputs.schedules import Function, Smooth
@@ -148,3 +149,18 @@ def test_projection_loss_is_booked_once():
     # until the blow nothing but drag acts; after it the scheme damps the fastest ringing
     assert np.max(np.abs(books[0].residual[:21])) < 1e-6 * books[0].kinetic[0]
     assert np.max(np.abs(books[0].residual)) < 0.1 * loss[-1]
+
+
+@pytest.mark.slow
+def test_a_thinned_run_that_does_not_close_is_told():
+    """A rod let go in a viscous fluid, at its start and its end alone and at every step."""
+    section = rx.circular_section(0.02, 1e8, 0.4e8, density=1500.0)
+    rod = rx.straight_rod(0.5, 4, section, direction=(1, 0, 0))
+    drag = rx.LinearDrag(0.3, 0.3, 1e-5)
+    scene = rx.Scene(rod, rx.Clamped(), loads=(rx.Gravity((0, 0, -9.81)), drag))
+    times, state = np.arange(1, 161) * 0.005, rx.start(scene)
+    whole = rx.energy.ledger(scene, rx.rollout(scene, state, times))
+    assert np.max(np.abs(whole.residual)) < 0.01 * np.ptp(whole.gravity)
+    thinned = rx.rollout(scene, state, times, save_every=160)
+    with pytest.warns(rx.ModelWarning, match="up to 160 steps between two saved states"):
+        rx.energy.ledger(scene, thinned)

@@ -147,6 +147,7 @@ def test_frequencies_in_its_plane():
     np.testing.assert_allclose((4 * errors[1] - errors[0]) / 3, 0.0, atol=1e-3)
 
 
+@pytest.mark.slow
 def test_rings_touch_each_other_but_not_their_own_neighbours():
     """Two that are linked, and a rod: beside a weld strands are neighbours, on any rod."""
     section = rx.circular_section(0.02, 1e6, 0.4e6, density=1500.0)

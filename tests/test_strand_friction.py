@@ -203,6 +203,7 @@ def slid(coefficient, speed, times, slip_speed=1e-3):
     return scene, rx.rollout(scene, rx.start(scene, velocity=velocity), times)
 
 
+@pytest.mark.slow
 def test_a_bar_is_braked_to_rest():
     """Along itself, and then it stays; across it rolls on."""
     scene, run = slid(FRICTION, (0.1, 0.05, 0.0), np.arange(1, 61) * 1e-3)

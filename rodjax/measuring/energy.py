@@ -9,6 +9,7 @@ Every term is integrated for itself, none is a remainder; what the two sides dif
 numerical loss of the time integration plus the error of the quadrature.
 """
 
+import warnings
 from typing import NamedTuple
 
 import equinox as eqx
@@ -36,6 +37,7 @@ from rodjax.measuring.energies import (
 from rodjax.measuring.material_work import booked, material_work
 from rodjax.measuring.reactions import Reactions, reactions, unbalanced
 from rodjax.numerics import rotations
+from rodjax.numerics.results import ModelWarning
 from rodjax.rods.state import State
 from rodjax.scenes.holds import rows_at
 from rodjax.scenes.scene import Found, Scene, projectors
@@ -121,15 +123,7 @@ class Ledger(NamedTuple):
     @property
     def residual(self) -> Float[Array, " k"]:
         """Work less everything that it is accounted to have become [J]: the numerical loss."""
-        stored = self.strain + self.kinetic + self.gravity
-        losses = self.drag_loss + self.damping_loss + self.projection_loss
-        if self.material_loss is not None:
-            losses = losses + self.material_loss
-        if self.contact_energy is None or self.contact_loss is None:
-            losses = losses + self.contact_work
-        else:
-            stored, losses = stored + self.contact_energy, losses + self.contact_loss
-        return self.work - (stored - stored[0]) - losses
+        return _residual(self)
 
     @property
     def balance_error(self) -> Float[Array, ""]:
@@ -138,6 +132,27 @@ class Ledger(NamedTuple):
         For a motion that nothing drives compare `residual` with an energy of the motion instead.
         """
         return abs(self.residual).max() / abs(self.work[-1])  # of numpy's arrays by numpy
+
+
+def _residual(ledger):
+    """Of arrays of numpy or jax alike."""
+    work = ledger.drive_work + ledger.load_work
+    if ledger.actuation_work is not None:
+        work = work + ledger.actuation_work
+    stored = _stored(ledger)
+    losses = ledger.drag_loss + ledger.damping_loss + ledger.projection_loss
+    if ledger.material_loss is not None:
+        losses = losses + ledger.material_loss
+    if ledger.contact_energy is None or ledger.contact_loss is None:
+        losses = losses + ledger.contact_work
+    else:
+        stored, losses = stored + ledger.contact_energy, losses + ledger.contact_loss
+    return work - (stored - stored[0]) - losses
+
+
+def _stored(ledger):
+    strain = ledger.bending + ledger.torsion + ledger.axial
+    return strain + ledger.kinetic + ledger.gravity
 
 
 class _Acting(NamedTuple):
@@ -234,7 +249,29 @@ def ledger(scene: Scene, run: Run) -> Ledger:
     # in numpy: programs fit any number of states but for this, which costs nothing
     run = jax.tree.map(np.asarray, run)
     booked = _booked(np, run, *jax.tree.map(np.asarray, _intervals(scene, run)))
+    _warn_if_missed(booked, run)
     return jax.tree.map(jax.device_put, booked)
+
+
+# Part of the energy that comes and goes which a thinned run's ledger may miss unsaid.
+_MISSED = 0.05
+
+
+def _warn_if_missed(booked: Ledger, run: Run) -> None:
+    """ModelWarning where a ledger does not close over states that are not those of all steps."""
+    most = int(np.max(np.diff(run.step_counts), initial=1))
+    work = np.abs(booked.drive_work + booked.load_work)
+    size = max(float(np.max(work)), float(np.ptp(np.asarray(_stored(booked)))))
+    missed = float(np.max(np.abs(_residual(booked))))
+    if most == 1 or not missed > _MISSED * size:
+        return
+    warnings.warn(
+        f"ledger: {missed:.3g} of {size:.3g} that came and went are not accounted for, of a run"
+        f" with up to {most} steps between two saved states, over which work and losses are"
+        " summed; save every step to see them",
+        ModelWarning,
+        stacklevel=3,
+    )
 
 
 def _intervals(scene: Scene, run: Run) -> tuple[Float[Array, "k works"], Float[Array, "k 6"]]:
