@@ -5,7 +5,7 @@ import dataclasses
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 import rodjax as rx
@@ -64,6 +64,7 @@ def curled(seed, tightness, stretch, closed):
 
 
 @settings(max_examples=40, deadline=None)
+@example(seed=1223, tightness=1.0, stretch=0.0, closed=True, moved=0.0)
 @given(
     seed=st.integers(0, 10**6),
     tightness=st.floats(0.3, 1.1),

@@ -63,8 +63,8 @@ def search(
     )
     sizes = capacities(contact, position.shape[0] - 1)
     # a segment's points lie within this of its middle, so a pair's within twice of the line
-    half = 0.5 * sites.widest * (contact.points_per_segment - 1)
     vertices = interpolate(sites, position)
+    half = 0.5 * _widest(contact, sites, vertices) * (contact.points_per_segment - 1)
     middles = 0.5 * (vertices[1:] + vertices[:-1])
     moved = displaced = None
     if displacement is not None:
@@ -119,6 +119,14 @@ def search(
         near = near & ~_along_each_other(contact, sites, vertices, slack)
     maybe = jnp.any(near)
     return lax.cond(largest(maybe.astype(jnp.int32)) > 0, some, none)
+
+
+def _widest(contact: Contact, sites: Sites, vertices: Float[Array, "j 3"]) -> Float[Array, ""]:
+    """Largest spacing of points, of segments stretched as they are."""
+    chords = jnp.sqrt(jnp.sum((vertices[1:] - vertices[:-1]) ** 2, 1))
+    if contact.idle is not None:
+        chords = jnp.where(jnp.asarray(contact.idle), 0.0, chords)
+    return jnp.maximum(sites.widest, jnp.max(chords) / contact.points_per_segment)
 
 
 def _along_each_other(
