@@ -23,6 +23,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import rodjax as rx
+from rodjax.dynamics.coarseness import turns_of_elements
 
 LENGTH, DIAMETER = 10.0, 0.03  # [m]
 EI, GJ, EA = 15.0, 12.0, 1e6  # [N m^2, N m^2, N]
@@ -83,7 +84,8 @@ def story(turns: float, elements: int, slack: float, until: float) -> dict:
         lambda scene, states: jax.lax.map(lambda state: rx.energy.reactions(scene, state), states)
     )
     found = of_ends(scene, run.states)
-    bend = np.linalg.norm(_bends(np.asarray(run.states.quaternion)), axis=2) * elements / LENGTH
+    turns_of = turns_of_elements(np.asarray(run.states.quaternion))
+    bend = np.linalg.norm(turns_of[..., :2], axis=2) * elements / LENGTH
     ledger = rx.energy.ledger(scene, run)
     return {
         "result": int(run.result),
@@ -99,13 +101,6 @@ def story(turns: float, elements: int, slack: float, until: float) -> dict:
         "ledger_residual": float(np.asarray(ledger.residual)[-1]),
         "work": float(np.asarray(ledger.work)[-1]),
     }
-
-
-def _bends(quaternion: np.ndarray) -> np.ndarray:
-    """Rotation vectors across the tangent from node to node [rad]."""
-    a, b = quaternion[:, :-1], quaternion[:, 1:]
-    vector = a[..., :1] * b[..., 1:] - b[..., :1] * a[..., 1:] - np.cross(a[..., 1:], b[..., 1:])
-    return 2 * np.sign(np.sum(a * b, 2))[..., None] * vector[..., :2]
 
 
 def milestones(told: dict) -> dict:

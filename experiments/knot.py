@@ -23,6 +23,7 @@ import _settings  # noqa: F401 (first)
 import jax
 import matplotlib.pyplot as plt
 import numpy as np
+from _drawing import draw_tube
 
 import rodjax as rx
 
@@ -76,7 +77,7 @@ class Pulled(NamedTuple):
     radius: np.ndarray  # of the loop where it leaves the braid [h]
     force: np.ndarray  # [B/h^2]
     shapes: np.ndarray  # [h]
-    passed: int
+    result: int
     seconds: float
 
     @property
@@ -156,13 +157,7 @@ def figure(path: Path, runs: list[Pulled]) -> None:
     last = runs[-1]
     for axis, k in zip(axes[1:], (0, -1), strict=True):
         shape = last.shapes[k]
-        order = np.argsort(0.5 * (shape[1:, 1] + shape[:-1, 1]))[::-1]
-        points = 260.0 / 60.0  # to a radius, of a panel
-        for i in order:  # the nearest last, with an outline
-            a, b = shape[i : i + 2][:, [0, 2]]
-            outline = np.array([a + 0.2 * (b - a), b - 0.2 * (b - a)])
-            axis.plot(*outline.T, color="white", lw=2.5 * points, solid_capstyle="butt")
-            axis.plot(*np.array([a, b]).T, color="C1", lw=1.6 * points, solid_capstyle="round")
+        draw_tube(axis, shape[:, [0, 2]], -shape[:, 1], 7.0, "C1")
         axis.set(aspect="equal", xlim=(-30, 30), xlabel="[h]")
         axis.set_title(f"mu = {last.friction:g}, slack drawn out {last.slack[k]:.1f} h")
     fig.savefig(path, dpi=130)
@@ -186,7 +181,7 @@ def main(argv=None) -> int:
         print(
             f"mu {mu:g}: sqrt(h/R) {run.slender[0]:.3f} to {run.slender[-1]:.3f}, force over that"
             f" of theory {np.mean(late):.3f} (from {np.min(late):.3f} to {np.max(late):.3f});"
-            f" result {run.passed}, {run.seconds:.0f} s"
+            f" result {run.result}, {run.seconds:.0f} s"
         )
     figure(options.out / "knot.png", runs)
     kept = []
@@ -195,7 +190,7 @@ def main(argv=None) -> int:
         kept.append(
             {
                 "friction": run.friction,
-                "result": run.passed,
+                "result": run.result,
                 "slender": run.slender[late].tolist(),
                 "force": run.force[late].tolist(),
                 "over_theory": run.ratio[late].tolist(),

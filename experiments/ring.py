@@ -18,6 +18,7 @@ from pathlib import Path
 import _settings  # noqa: F401 (first)
 import matplotlib.pyplot as plt
 import numpy as np
+from _drawing import draw_tube
 
 import rodjax as rx
 
@@ -102,14 +103,9 @@ def figure(path: Path, thresholds: dict[int, float], runs: list[dict]) -> None:
     for one, run in zip(frames, runs, strict=True):
         shape = run["shape"] - np.mean(run["shape"], 0)
         page = shape @ np.linalg.svd(shape, full_matrices=False)[2].T
-        order = np.argsort(0.5 * (page[1:, 2] + page[:-1, 2]))
         span = np.ptp(page[:, 0]) + 2 * DIAMETER
         points = 160.0 / span  # to a nanometre, of a panel
-        for i in order:  # the nearest last, with an outline
-            a, b = page[i : i + 2, :2]
-            outline, width = np.array([a + 0.2 * (b - a), b - 0.2 * (b - a)]), DIAMETER * points
-            one.plot(*outline.T, color="white", lw=1.6 * width, solid_capstyle="butt")
-            one.plot(*np.array([a, b]).T, color="C0", lw=width, solid_capstyle="round")
+        draw_tube(one, page[:, :2], page[:, 2], DIAMETER * points, "C0")
         one.set(aspect="equal", title=f"{run['turns']:.2f} turns", xlabel="[nm]")
     fig.savefig(path, dpi=150)
     plt.close(fig)

@@ -112,8 +112,7 @@ class Ledger(NamedTuple):
     @property
     def work(self) -> Float[Array, " k"]:
         """Work of drives, loads and actuation [J]."""
-        given = self.drive_work + self.load_work
-        return given if self.actuation_work is None else given + self.actuation_work
+        return _work(self)
 
     @property
     def strain(self) -> Float[Array, " k"]:
@@ -136,9 +135,6 @@ class Ledger(NamedTuple):
 
 def _residual(ledger):
     """Of arrays of numpy or jax alike."""
-    work = ledger.drive_work + ledger.load_work
-    if ledger.actuation_work is not None:
-        work = work + ledger.actuation_work
     stored = _stored(ledger)
     losses = ledger.drag_loss + ledger.damping_loss + ledger.projection_loss
     if ledger.material_loss is not None:
@@ -147,7 +143,12 @@ def _residual(ledger):
         losses = losses + ledger.contact_work
     else:
         stored, losses = stored + ledger.contact_energy, losses + ledger.contact_loss
-    return work - (stored - stored[0]) - losses
+    return _work(ledger) - (stored - stored[0]) - losses
+
+
+def _work(ledger):
+    given = ledger.drive_work + ledger.load_work
+    return given if ledger.actuation_work is None else given + ledger.actuation_work
 
 
 def _stored(ledger):
@@ -260,8 +261,7 @@ _MISSED = 0.05
 def _warn_if_missed(booked: Ledger, run: Run) -> None:
     """ModelWarning where a ledger does not close over states that are not those of all steps."""
     most = int(np.max(np.diff(run.step_counts), initial=1))
-    work = np.abs(booked.drive_work + booked.load_work)
-    size = max(float(np.max(work)), float(np.ptp(np.asarray(_stored(booked)))))
+    size = max(float(np.max(np.abs(_work(booked)))), float(np.ptp(np.asarray(_stored(booked)))))
     missed = float(np.max(np.abs(_residual(booked))))
     if most == 1 or not missed > _MISSED * size:
         return
