@@ -108,8 +108,7 @@ from rodjax.scenes.scene import Scene as Scene
 
 if TYPE_CHECKING:
     from rodjax.dynamics import windows as windows
-    from rodjax.exporting.labelled import to_xarray as to_xarray
-    from rodjax.files import plot as plot
+    from rodjax.exchange.labelled import to_xarray as to_xarray
     from rodjax.files import storage as storage
     from rodjax.files import sweep as sweep
     from rodjax.files import units as units
@@ -135,6 +134,7 @@ if TYPE_CHECKING:
     from rodjax.reference import paper_scheme as paper_scheme
     from rodjax.reference import semidiscrete as semidiscrete
     from rodjax.rods import topology as topology
+    from rodjax.viewing import plot as plot
     from rodjax.viewing.animation import animate as animate
     from rodjax.viewing.view import RunView as RunView
     from rodjax.viewing.view import view as view
@@ -146,7 +146,7 @@ _FOLDERS = {
     "energy": "measuring",
     "measures": "measuring",
     "paper_scheme": "reference",
-    "plot": "files",
+    "plot": "viewing",
     "rotations": "numerics",
     "semidiscrete": "reference",
     "storage": "files",
@@ -178,7 +178,7 @@ _FITTING = {
 
 # and where in other folders names are that few need
 _VIEWING = {"RunView": "view", "animate": "animation", "view": "view"}
-_EXPORTING = {"to_xarray": "labelled"}
+_EXCHANGE = {"to_xarray": "labelled"}
 
 __all__ = [
     "AbstractEnd",
@@ -356,7 +356,7 @@ if not any(type(finder).__qualname__ == _Modules.__qualname__ for finder in sys.
 
 def __getattr__(name: str):
     """What the import of the package leaves out: public modules (HDF5 takes a tenth), and fits."""
-    later = {"fitting": _FITTING, "viewing": _VIEWING, "exporting": _EXPORTING}
+    later = {"fitting": _FITTING, "viewing": _VIEWING, "exchange": _EXCHANGE}
     for folder, modules in later.items():
         if name in modules:
             module = importlib.import_module(f"{__name__}.{folder}.{modules[name]}")

@@ -40,7 +40,7 @@ def _public() -> dict[str, object]:
         "equilibria.small_vibration": ["Vibration"],
         "fitting.descent": ["Minimum"],
         "dynamics.step_control": ["Control"],
-        "files.tubes": ["View", "facing"],
+        "viewing.tubes": ["View", "facing"],
     }.items():
         of = __import__(f"rodjax.{module}", fromlist=names)
         found |= {f"{module.split('.')[1]}.{key}": getattr(of, key) for key in names}

@@ -24,7 +24,7 @@ ORDER = [
     "fitting",
     "files",
     "viewing",
-    "exporting",
+    "exchange",
     "reference",
 ]
 # siblings that do not know each other

@@ -11,7 +11,7 @@ from matplotlib.collections import PolyCollection
 
 import rodjax as rx
 from rodjax import plot
-from rodjax.files.tubes import View, facing
+from rodjax.viewing.tubes import View, facing
 
 SECTION = rx.circular_section(0.05, 1e7, 4e6, 1000.0)
 E1, E2, E3 = np.eye(3)

@@ -18,8 +18,8 @@ import pytest
 from helpers import UNIT_SECTION, standing_run
 
 import rodjax as rx
-from rodjax.files.tubes import View
 from rodjax.viewing import bodies, colouring, packing
+from rodjax.viewing.tubes import View
 
 ELEMENTS = 6
 

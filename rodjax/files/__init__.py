@@ -1,1 +1,1 @@
-"""Runs and sweeps in files and in pictures, with their units."""
+"""Runs and sweeps in files, with their units."""

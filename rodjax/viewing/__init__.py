@@ -1,1 +1,1 @@
-"""Runs in three dimensions, to look at in a notebook and to share as one file."""
+"""Runs to look at: turned about in three dimensions, as films and as figures."""

@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 
-from rodjax.files.tubes import View, tube
 from rodjax.files.units import Units
 from rodjax.inputs.validation import check_integer, check_positive, check_scalar, given
 from rodjax.viewing import bodies, colouring
@@ -22,6 +21,7 @@ from rodjax.viewing.shown import (
     picked,
     proportions,
 )
+from rodjax.viewing.tubes import View, tube
 
 
 def animate(

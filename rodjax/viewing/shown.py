@@ -10,7 +10,6 @@ import numpy as np
 from jaxtyping import Float
 
 from rodjax.files import storage
-from rodjax.files.tubes import View
 from rodjax.files.units import SI, Units
 from rodjax.inputs.validation import as_integer, check_integer
 from rodjax.inputs.validation import shown as briefly
@@ -22,6 +21,7 @@ from rodjax.scenes.placing import placing
 from rodjax.scenes.scene import Scene
 from rodjax.viewing import colouring
 from rodjax.viewing.colouring import Measure
+from rodjax.viewing.tubes import View
 
 # From where the first view looks, if not from straight before it [rad].
 YAW, PITCH = 0.35, 0.3

@@ -13,7 +13,6 @@ from typing import Any
 
 import numpy as np
 
-from rodjax.files.tubes import View
 from rodjax.files.units import Units
 from rodjax.inputs.validation import check_positive, check_scalar, given
 from rodjax.viewing import bodies, colouring, packing
@@ -28,6 +27,7 @@ from rodjax.viewing.shown import (
     picked,
     proportions,
 )
+from rodjax.viewing.tubes import View
 
 
 class RunView:

@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from jaxtyping import Float
 
-from rodjax.files.tubes import Values, View, facing, tube
 from rodjax.files.units import SI, Units
 from rodjax.rods.rod import Rod
 from rodjax.rods.state import State
+from rodjax.viewing.tubes import Values, View, facing, tube
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
