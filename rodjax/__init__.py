@@ -109,6 +109,8 @@ from rodjax.scenes.scene import Scene as Scene
 if TYPE_CHECKING:
     from rodjax.dynamics import windows as windows
     from rodjax.exchange.labelled import to_xarray as to_xarray
+    from rodjax.exchange.paraview import to_paraview as to_paraview
+    from rodjax.exchange.tables import to_csv as to_csv
     from rodjax.files import storage as storage
     from rodjax.files import sweep as sweep
     from rodjax.files import units as units
@@ -178,7 +180,7 @@ _FITTING = {
 
 # and where in other folders names are that few need
 _VIEWING = {"RunView": "view", "animate": "animation", "view": "view"}
-_EXCHANGE = {"to_xarray": "labelled"}
+_EXCHANGE = {"to_csv": "tables", "to_paraview": "paraview", "to_xarray": "labelled"}
 
 __all__ = [
     "AbstractEnd",
@@ -290,6 +292,8 @@ __all__ = [
     "storage",
     "straight_rod",
     "sweep",
+    "to_csv",
+    "to_paraview",
     "to_xarray",
     "topology",
     "units",

@@ -141,8 +141,8 @@ def _refine(position, quaternion, pieces):
     weight1 = np.where(near, u, np.sin(u * np.where(near, 1.0, angle)) / sine)
     between = weight0 * q0[:, None] + weight1 * q1[:, None]
     between = np.concatenate([between.reshape(-1, 4), quaternion[-1:]])
-    frames = _matrices(between / np.linalg.norm(between, axis=1, keepdims=True))
-    tangents = _matrices(quaternion)[:, :, 2]
+    frames = matrices(between / np.linalg.norm(between, axis=1, keepdims=True))
+    tangents = matrices(quaternion)[:, :, 2]
     edge = position[1:] - position[:-1]
     length = np.linalg.norm(edge, axis=1)[:, None]
     a, b = length * tangents[:-1] - edge, edge - length * tangents[1:]
@@ -151,11 +151,12 @@ def _refine(position, quaternion, pieces):
     return np.concatenate([cubic.reshape(-1, 3), position[-1:]]), frames
 
 
-def _matrices(q):
-    w, x, y, z = q.T
+def matrices(quaternion: Float[np.ndarray, "*k 4"]) -> Float[np.ndarray, "*k 3 3"]:
+    """Rotation matrices of unit quaternions, their columns a_1, a_2, a_3."""
+    w, x, y, z = np.moveaxis(quaternion, -1, 0)
     rows = [
         [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
         [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
         [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
     ]
-    return np.moveaxis(np.array(rows), -1, 0)
+    return np.moveaxis(np.array(rows), (0, 1), (-2, -1))
