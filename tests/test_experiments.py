@@ -1,4 +1,4 @@
-"""The main job and its notebook, run as a newcomer runs them."""
+"""The main job, run as a newcomer runs them."""
 
 import json
 import os
@@ -11,11 +11,9 @@ from types import SimpleNamespace
 import equinox as eqx
 import h5py
 import jax.numpy as jnp
-import jupytext
 import numpy as np
 import pytest
 from helpers import slow
-from nbclient import NotebookClient
 
 from rodjax import storage
 
@@ -174,22 +172,6 @@ def test_presets_turn_as_described(name, turns):
     np.testing.assert_allclose(scene.rod.diameter, np.where(necked, 0.9 * thick, thick))
     # Table 1: A/C = E/(2G) for any diameter
     np.testing.assert_allclose(scene.rod.stiffness[:, 0] / scene.rod.stiffness[:, 2], 1.25)
-
-
-@pytest.mark.slow
-def test_notebook_runs():
-    folder = ROOT / "notebooks"
-    notebook = jupytext.read(folder / "intertwining.py")
-    path = os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")])
-    client = NotebookClient(notebook, timeout=600, resources={"metadata": {"path": str(folder)}})
-    client.execute(env=os.environ | {"PYTHONPATH": path, "JAX_ENABLE_COMPILATION_CACHE": "0"})
-    shown = [
-        output
-        for cell in notebook.cells
-        for output in cell.get("outputs", [])
-        if "image/png" in output.get("data", {})
-    ]
-    assert len(shown) == 3
 
 
 @pytest.mark.slow
