@@ -108,6 +108,8 @@ from rodjax.scenes.scene import Scene as Scene
 
 if TYPE_CHECKING:
     from rodjax.dynamics import windows as windows
+    from rodjax.exchange.centreline import Centreline as Centreline
+    from rodjax.exchange.centreline import centreline as centreline
     from rodjax.exchange.labelled import to_xarray as to_xarray
     from rodjax.exchange.paraview import to_paraview as to_paraview
     from rodjax.exchange.tables import to_csv as to_csv
@@ -180,7 +182,13 @@ _FITTING = {
 
 # and where in other folders names are that few need
 _VIEWING = {"RunView": "view", "animate": "animation", "view": "view"}
-_EXCHANGE = {"to_csv": "tables", "to_paraview": "paraview", "to_xarray": "labelled"}
+_EXCHANGE = {
+    "Centreline": "centreline",
+    "centreline": "centreline",
+    "to_csv": "tables",
+    "to_paraview": "paraview",
+    "to_xarray": "labelled",
+}
 
 __all__ = [
     "AbstractEnd",
@@ -193,6 +201,7 @@ __all__ = [
     "Ball",
     "Barrier",
     "Body",
+    "Centreline",
     "Clamped",
     "Constant",
     "Contact",
@@ -262,6 +271,7 @@ __all__ = [
     "Weld",
     "adaptive_rollout",
     "animate",
+    "centreline",
     "check",
     "circular_section",
     "curved_rod",

@@ -12,7 +12,7 @@ from rodjax.inputs.user_functions import called, returned
 from rodjax.inputs.validation import all_known, array_of, check_finite, check_numbers, known, shown
 from rodjax.rods.framing import module_of, vector
 
-_MOST_POINTS = 2000
+MOST_POINTS = 2000
 _GAUSS = np.polynomial.legendre.leggauss(8)
 _NEWTON = 5  # iterations for the parameter at an arc length, from a guess that is nearly right
 
@@ -73,10 +73,10 @@ def through(points: Any, length: Any = None) -> tuple[Callable, np.floating | An
     """
     check_numbers(curve=points)
     x = array_of(points)
-    if x.ndim != 2 or x.shape[1] != 3 or not 2 <= x.shape[0] <= _MOST_POINTS:
+    if x.ndim != 2 or x.shape[1] != 3 or not 2 <= x.shape[0] <= MOST_POINTS:
         raise ValueError(
             "curve: give a function of arc length, or points (k, 3), from 2 to"
-            f" {_MOST_POINTS}; got {shown(points)}"
+            f" {MOST_POINTS}; got {shown(points)}"
         )
     check_finite(curve=points)
     xp = module_of(x, length)
