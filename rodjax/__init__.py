@@ -112,6 +112,8 @@ if TYPE_CHECKING:
     from rodjax.exchange.centreline import centreline as centreline
     from rodjax.exchange.labelled import to_xarray as to_xarray
     from rodjax.exchange.paraview import to_paraview as to_paraview
+    from rodjax.exchange.pyelastica import Motion as Motion
+    from rodjax.exchange.pyelastica import from_pyelastica as from_pyelastica
     from rodjax.exchange.tables import to_csv as to_csv
     from rodjax.files import storage as storage
     from rodjax.files import sweep as sweep
@@ -184,7 +186,9 @@ _FITTING = {
 _VIEWING = {"RunView": "view", "animate": "animation", "view": "view"}
 _EXCHANGE = {
     "Centreline": "centreline",
+    "Motion": "pyelastica",
     "centreline": "centreline",
+    "from_pyelastica": "pyelastica",
     "to_csv": "tables",
     "to_paraview": "paraview",
     "to_xarray": "labelled",
@@ -235,6 +239,7 @@ __all__ = [
     "Lump",
     "ModelWarning",
     "MorisonDrag",
+    "Motion",
     "NormalPrior",
     "Observations",
     "Obstacle",
@@ -278,6 +283,7 @@ __all__ = [
     "energy",
     "equilibrium",
     "extrapolate",
+    "from_pyelastica",
     "imperfect",
     "jit",
     "keep_compiled",
