@@ -142,6 +142,7 @@ if TYPE_CHECKING:
     from rodjax.rods import topology as topology
     from rodjax.viewing import plot as plot
     from rodjax.viewing.animation import animate as animate
+    from rodjax.viewing.picture import picture as picture
     from rodjax.viewing.view import RunView as RunView
     from rodjax.viewing.view import view as view
 
@@ -183,7 +184,7 @@ _FITTING = {
 }
 
 # and where in other folders names are that few need
-_VIEWING = {"RunView": "view", "animate": "animation", "view": "view"}
+_VIEWING = {"RunView": "view", "animate": "animation", "picture": "picture", "view": "view"}
 _EXCHANGE = {
     "Centreline": "centreline",
     "Motion": "pyelastica",
@@ -291,6 +292,7 @@ __all__ = [
     "measures",
     "minimize",
     "paper_scheme",
+    "picture",
     "placing",
     "plot",
     "positions_at",

@@ -10,7 +10,7 @@ from helpers import UNIT_SECTION, standing_run
 from matplotlib.animation import FFMpegWriter
 
 import rodjax as rx
-from rodjax.viewing import animation
+from rodjax.viewing import animation, projection
 
 SCENE = rx.Scene(rx.straight_rod(1.0, 4, UNIT_SECTION, direction=(1, 0, 0)), rx.Clamped())
 
@@ -21,13 +21,13 @@ def run():
 
 
 def test_a_gif_shows_the_states(run, tmp_path, monkeypatch):
-    drawn, draw = [], animation._Page.draw
+    drawn, draw = [], projection.Page.draw
 
     def told(page, axes, index):
         draw(page, axes, index)
         drawn.append((axes.get_xlabel(), axes.get_aspect()))
 
-    monkeypatch.setattr(animation._Page, "draw", told)
+    monkeypatch.setattr(projection.Page, "draw", told)
     curves = {"a": np.arange(7.0)}
     path = rx.animate(
         SCENE,

@@ -108,6 +108,12 @@ def of_no_steps(state: State) -> Run:
     return Run(jax.tree.map(one, state), jax.tree.map(none, info), code, zero, zero)
 
 
+def of_states(states: State, code: Result = Result.SUCCESS) -> Run:
+    """Stacked states as a run that took no steps between them, of this result."""
+    begun = of_no_steps(jax.tree.map(lambda leaf: leaf[0], states))
+    return dataclasses.replace(begun, states=states, result=as_code(code))
+
+
 def join_runs(start: State, parts: list[Run]) -> Run:
     """The run from `start` through the parts given to `on_chunk`, up to the last of them.
 

@@ -58,7 +58,7 @@ def to_paraview(
             raise ValueError(f"path: name a file that ends in .pvd, or a folder; got {str(path)!r}")
         path = path / "run.pvd"
     position = np.asarray(shown.states.position, float)
-    known = np.flatnonzero(np.all(np.isfinite(position), (1, 2)))
+    known = shown.known
     if not len(known):
         raise ValueError(f"run: none of its {len(position)} states is of numbers to be written")
     columns = _still(shown.scene.rod, len(position), shown.units)
@@ -71,7 +71,7 @@ def to_paraview(
     for number, row in enumerate(known):
         name = f"{folder.name}_{number:05d}.vtp"
         at_points = [(column.label, column.values[row]) for column in columns]
-        _write(_mesh(position[row], cells, at_points, times[row]), folder / name)
+        _write(_mesh(position[row], cells, at_points, float(times[row])), folder / name)
         of_time = {"timestep": repr(float(times[row])), "group": "", "part": "0"}
         SubElement(sets, "DataSet", of_time, file=f"{folder.name}/{name}")
     _write(collection, path)

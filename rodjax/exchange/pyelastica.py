@@ -12,12 +12,12 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from rodjax.dynamics.coarseness import turns_of_elements
-from rodjax.dynamics.run import Run, of_no_steps
+from rodjax.dynamics.run import Run, of_states
 from rodjax.exchange.elastica_files import collected
 from rodjax.exchange.node_frames import node_frames
 from rodjax.files.units import SI, Units
 from rodjax.inputs.validation import check_flag
-from rodjax.numerics.results import ModelWarning, Result, as_code
+from rodjax.numerics.results import ModelWarning
 from rodjax.rods.builders import build_rod
 from rodjax.rods.rod import Rod
 from rodjax.rods.section import Section
@@ -26,7 +26,7 @@ from rodjax.scenes.scene import Scene
 
 
 class Motion(NamedTuple):
-    """A motion that another program computed; `view` and `to_csv` take it as it is.
+    """A motion that another program computed; `view`, `picture` and `to_csv` take it as it is.
 
     Attributes:
         scene: the rod, without what held or loaded it.
@@ -106,7 +106,7 @@ def from_pyelastica(
     rod = _rod(data, position[0], quaternion[0], length, section, stress_free, report)
     rates, forces = _rates(data, report), _forces(rod, position, matrices, length, report)
     states = _states(data["time"], position, quaternion, rates, forces)
-    return Motion(Scene(rod), _run(states), tuple(report), units)
+    return Motion(Scene(rod), of_states(states), tuple(report), units)
 
 
 def _check(data: dict[str, np.ndarray]) -> None:
@@ -221,10 +221,3 @@ def _states(*stacked: np.ndarray) -> State:
     first = State(time[0], position[0], quaternion[0], *moving, force[0])
     leaves = [time, position, quaternion, rate, unknown, unknown, force]
     return jax.tree.unflatten(jax.tree.structure(first), leaves)
-
-
-def _run(states: State) -> Run:
-    """The states as a run that took no steps."""
-    first = jax.tree.map(lambda leaf: leaf[0], states)
-    code = as_code(Result.SUCCESS)
-    return dataclasses.replace(of_no_steps(first), states=states, result=code)

@@ -1,6 +1,6 @@
 """What the tubes of a view are coloured by: measures of elements and nodes, by name."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import jax.numpy as jnp
@@ -40,7 +40,9 @@ class _Kind(NamedTuple):
 
 def _turn_rates(scene: Scene, states: State) -> np.ndarray:
     length = np.asarray(scene.rod.gauge_length)[None, :, None]
-    return turns_of_elements(np.asarray(states.quaternion)) / length
+    turns = turns_of_elements(np.asarray(states.quaternion))
+    # so that rounding is not spread over the colours where nothing turns
+    return np.where(np.abs(turns) < 1e3 * np.finfo(turns.dtype).eps, 0.0, turns) / length
 
 
 @over_states
@@ -89,11 +91,13 @@ def names_of(scene: Scene) -> list[str]:
     return [name for name in _KINDS if touches or name != "contact force"]
 
 
-def measures_of(scene: Scene, states: State, units: Units) -> list[Measure]:
-    """All of them, of stacked states."""
+def measures_of(
+    scene: Scene, states: State, units: Units, only: Sequence[str] | None = None
+) -> list[Measure]:
+    """All of them, or only those of these names, of stacked states."""
     names = units._asdict() | {"energy": units.energy}
     found = []
-    for name in names_of(scene):
+    for name in names_of(scene) if only is None else only:
         kind = _KINDS[name]
         values = np.array(kind.values(scene, states), float)
         if values.shape[1] == scene.rod.elements:

@@ -110,10 +110,10 @@ def snapshots(
         axes.spines[["top", "right"]].set_visible(False)
         axes.tick_params(labelsize=8)
         axes.locator_params(axis="y", nbins=max(2, int(12 * heights[index] / (right - left)) + 1))
-    label = f"{_direction(page[0])} [{units.length}]; a circle marks the end s = 0"
+    label = f"{direction(page[0])} [{units.length}]; a circle marks the end s = 0"
     label += ", a square a body" if rod.bodies else ""
     figure.supxlabel(label, fontsize=10)
-    figure.supylabel(f"{_direction(page[1])} [{units.length}]", fontsize=10)
+    figure.supylabel(f"{direction(page[1])} [{units.length}]", fontsize=10)
     strained = any(np.any(np.asarray(density) > 0) for density in densities)
     if strained:
         bar = figure.colorbar(colors, ax=list(rows), fraction=0.03, pad=0.01)
@@ -165,7 +165,7 @@ def _colors(densities) -> Any:
     return ScalarMappable(LogNorm(bottom, top), bright)  # so that a black stripe shows
 
 
-def _direction(row: np.ndarray) -> str:
+def direction(row: np.ndarray) -> str:
     """What runs along an axis of the page: the inertial coordinate, or a mixture."""
     k = int(np.argmax(np.abs(row)))
     if abs(row[k]) < 1 - 1e-9:
@@ -173,10 +173,11 @@ def _direction(row: np.ndarray) -> str:
     return f"{'-' if row[k] < 0 else ''}e{k + 1}"
 
 
-def _curves(rows: int = 1, height: float = 4.5):
+def _curves(rows: int = 1, height: float = 4.5, figure: Any = None):
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(8, height), layout="constrained")
+    if figure is None:
+        figure = Figure(figsize=(8, height), layout="constrained")
     axes = figure.subplots(rows, 1, squeeze=False)[:, 0]
     for row in axes:
         row.grid(alpha=0.3)
@@ -198,7 +199,8 @@ def _draw(axes, x, curves: Mapping[str, Any], styles: Sequence[Mapping[str, Any]
         # a value between two that are missing has no line: a point shows it
         beside = np.concatenate([known[1:], [False]]) | np.concatenate([[False], known[:-1]])
         alone = np.flatnonzero(known & ~beside).tolist()
-        axes.plot(x, y, label=name, marker="o", markersize=4, markevery=alone, **style)
+        points = {"marker": "o", "markersize": 4, "markevery": alone} if alone else {}
+        axes.plot(x, y, label=name, **points, **style)
     return int(np.sum(missing))
 
 
@@ -243,6 +245,7 @@ def energies(
     marks: Mapping[str, float] | None = None,
     units: Units = SI,
     title: str = "Energy",
+    figure: Any = None,
 ) -> "Figure":
     """Energies and works against time (Fig. 8).
 
@@ -254,8 +257,9 @@ def energies(
         marks: named times to point out; those outside the times (or infinite) are left out.
         units: names of the units of the axes.
         title: heading of the figure.
+        figure: a figure or part of one to draw in; default: a new one.
     """
-    figure, (axes,) = _curves()
+    figure, (axes,) = _curves(figure=figure)
     styles = [
         {"linewidth": 2.2 if "total" in name else 1.4}
         | ({"color": "black", "linestyle": "--"} if "work" in name else {})
@@ -272,31 +276,39 @@ def topology(
     times: Float[Values, " k"],
     twist: Float[Values, " k"],
     writhe: Float[Values, " k"],
-    turns: Float[Values, " k"],
+    turns: Float[Values, " k"] | None = None,
     *,
     marks: Mapping[str, float] | None = None,
     units: Units = SI,
     title: str = "Conversion of twist to writhe",
+    figure: Any = None,
 ) -> "Figure":
     """Tw, Wr and their sum Lk against time, with the turns applied at the end (Fig. 9).
 
     Args:
         times: [s].
-        twist, writhe, turns: in turns, as `rx.measures.linking` gives them.
+        twist, writhe, turns: in turns, as `rx.measures.linking` gives them; without those applied
+            where these cannot be counted.
         marks: named times to point out; those outside the times (or infinite) are left out.
         units: names of the units of the axes.
         title: heading of the figure.
+        figure: a figure or part of one to draw in; default: a new one.
     """
-    figure, (axes,) = _curves()
+    figure, (axes,) = _curves(figure=figure)
     curves = {
         "Lk = Tw + Wr": np.asarray(twist) + np.asarray(writhe),
         "twist Tw": twist,
         "writhe Wr": writhe,
-        "turns applied": turns,
     }
+    if turns is not None:
+        curves["turns applied"] = turns
     dashed = {"linestyle": "--", "color": "tab:red", "linewidth": 1.0}
-    missing = _draw(axes, times, curves, [{"color": "black", "linewidth": 1.8}, {}, {}, dashed])
+    styles = [{"color": "black", "linewidth": 1.8}, {}, {}, dashed][: len(curves)]
+    missing = _draw(axes, times, curves, styles)
     axes.set_ylabel("turns")
+    low, high = axes.get_ylim()
+    if high - low < 1e-6:  # rounding
+        axes.set_ylim(-0.1 + low, 0.1 + high)
     _finish(axes, times, missing, title, f"time [{units.time}]")
     _mark(axes, marks)
     return figure
@@ -310,6 +322,7 @@ def reactions(
     turns: Float[Values, " k"] | None = None,
     units: Units = SI,
     title: str = "Reactions of the ends",
+    figure: Any = None,
 ) -> "Figure":
     """Forces and torques of the ends against time; with `turns` also torque against rotation.
 
@@ -319,8 +332,10 @@ def reactions(
         turns: rotation applied at an end, in turns.
         units: names of the units of the axes.
         title: heading of the figure.
+        figure: a figure or part of one to draw in; default: a new one.
     """
-    figure, axes = _curves(rows=2 if turns is None else 3, height=6.0 if turns is None else 8.0)
+    rows = 2 if turns is None else 3
+    figure, axes = _curves(rows, 2.0 * rows + 2.0, figure)
     # equal ones must both be seen
     styles = [{"linestyle": "--" if i else "-", "linewidth": 1.4} for i in range(len(torques))]
     time = f"time [{units.time}]"

@@ -9,6 +9,7 @@ import jax
 import numpy as np
 from jaxtyping import Float
 
+from rodjax.dynamics.run import Run, of_states
 from rodjax.files import storage
 from rodjax.files.units import SI, Units
 from rodjax.inputs.validation import as_integer, check_integer
@@ -34,6 +35,17 @@ class Shown(NamedTuple):
     states: State  # stacked
     code: Result
     units: Units
+    given: Any = None  # the run as it was given, if that was one
+
+    @property
+    def run(self) -> Run:
+        """The states as a run, with its steps if there are any."""
+        return of_states(self.states, self.code) if self.given is None else self.given
+
+    @property
+    def known(self) -> np.ndarray:
+        """Which of the states are numbers."""
+        return np.flatnonzero(np.all(np.isfinite(np.asarray(self.states.position)), (1, 2)))
 
 
 def shown_of(scene: Any, run: Any, units: Units | None) -> Shown:
@@ -64,7 +76,8 @@ def shown_of(scene: Any, run: Any, units: Units | None) -> Shown:
             f"run: has positions of shape {shape}, the scene's rod {nodes} nodes; give the scene"
             " that the run is of, and one run"
         )
-    return Shown(scene, states, code, units or SI)
+    given = run if hasattr(run, "infos") else None
+    return Shown(scene, states, code, units or SI, given)
 
 
 def _stacked(states: Any) -> Any:
@@ -167,7 +180,7 @@ def picked(
             f"colour: there is no measure {colour!r} of this scene; give one of"
             f" {', '.join(map(repr, names))}, or None"
         )
-    known = np.flatnonzero(np.all(np.isfinite(np.asarray(states.position)), (1, 2)))
+    known = shown.known
     rows = known[spread(np.asarray(states.time)[known], frames)]
     few = jax.tree.map(lambda leaf: np.asarray(leaf)[rows], states)
     found = []
@@ -230,11 +243,11 @@ def axes_of(points: Float[np.ndarray, "p 3"], first_view: View | None) -> tuple[
     return np.stack([right, up, np.cross(right, up)]), True
 
 
-def magnified(box: Proportions) -> float:
-    """How much thicker tubes are drawn to be seen in a picture of this size."""
-    if box.thickest >= box.size / 180:
+def magnified(box: Proportions, pictures: int = 1) -> float:
+    """How much thicker tubes are drawn to be seen in one of so many pictures side by side."""
+    if box.thickest >= pictures * box.size / 180:
         return 1.0
-    needed = box.size / 110 / box.thickest
+    needed = pictures * box.size / 110 / box.thickest
     power = 10.0 ** np.floor(np.log10(needed))
     return float(power * min((1, 2, 5, 10), key=lambda lead: abs(np.log(lead * power / needed))))
 

@@ -75,7 +75,7 @@ def tube(
     *,
     colors: Any,
     view: View | None = None,
-    stripe: bool = False,
+    stripe: bool | float = False,
     sides: int = 20,
     breaks: tuple[int, ...] = (),
 ) -> None:
@@ -87,7 +87,8 @@ def tube(
         position, quaternion: of the nodes, as in a `State`.
         colors: a `matplotlib.cm.ScalarMappable` that turns values into colours.
         view: default: `facing` this shape.
-        stripe: draw a black line along the director a_1, so that twist can be seen.
+        stripe: draw a black line along the director a_1, so that twist can be seen; a number is
+            half its width, as the angle around the tube [rad].
         sides: faces around the tube.
         breaks: elements that are none, between rods (`Rod.breaks`).
     """
@@ -115,7 +116,8 @@ def tube(
     brightness = 0.65 + 0.35 * np.clip(normal @ light, 0, 1)
     rgb = colors.to_rgba(shade)[:, None, :3] * brightness[..., None]
     if stripe:
-        width = 2 * np.pi / sides * max(1, sides // 8)
+        wide = max(1, sides // 8) if stripe is True else max(1, round(stripe * sides / (2 * np.pi)))
+        width = 2 * np.pi / sides * wide
         rgb[:, np.cos(middle) > np.cos(width)] = 0.0
     visible = normal[..., 2] > -0.1
     for element in breaks:
