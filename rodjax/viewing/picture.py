@@ -21,7 +21,7 @@ from rodjax.viewing.colouring import Measure
 from rodjax.viewing.maps import space_time
 from rodjax.viewing.projection import Page
 from rodjax.viewing.shown import Picked, Shown, heading_of, own_measures, shown_of, spread
-from rodjax.viewing.tubes import View, facing
+from rodjax.viewing.tubes import View, direction, facing
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -210,8 +210,8 @@ def _shapes(asked: _Asked) -> _Panel:
         if strained:
             bar = part.colorbar(page.colors, ax=list(grid.ravel()), fraction=0.03, pad=0.01)
             bar.set_label(f"{measure.name} [{measure.unit}]")
-        part.supxlabel(f"{plot.direction(right)} [{unit}]", fontsize=9)
-        part.supylabel(f"{plot.direction(up)} [{unit}]", fontsize=9)
+        part.supxlabel(f"{direction(right)} [{unit}]", fontsize=9)
+        part.supylabel(f"{direction(up)} [{unit}]", fontsize=9)
         part.suptitle("; ".join(notes), fontsize=10)
 
     return _Panel(_height(count, columns, tall / wide) + 0.5 * lines + 0.7, draw)

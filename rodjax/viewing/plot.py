@@ -14,7 +14,7 @@ from jaxtyping import Float
 from rodjax.files.units import SI, Units
 from rodjax.rods.rod import Rod
 from rodjax.rods.state import State
-from rodjax.viewing.tubes import Values, View, facing, tube
+from rodjax.viewing.tubes import Values, View, direction, facing, tube
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -163,14 +163,6 @@ def _colors(densities) -> Any:
     bottom = min(max(float(np.min(every, initial=top)), 1e-3 * top), 0.3 * top)
     bright = ListedColormap(colormaps["turbo"](np.linspace(0.1, 0.92, 256)))
     return ScalarMappable(LogNorm(bottom, top), bright)  # so that a black stripe shows
-
-
-def direction(row: np.ndarray) -> str:
-    """What runs along an axis of the page: the inertial coordinate, or a mixture."""
-    k = int(np.argmax(np.abs(row)))
-    if abs(row[k]) < 1 - 1e-9:
-        return "along the page"
-    return f"{'-' if row[k] < 0 else ''}e{k + 1}"
 
 
 def _curves(rows: int = 1, height: float = 4.5, figure: Any = None):

@@ -66,6 +66,14 @@ def facing(positions: Sequence[Float[Values, "nodes 3"]]) -> View:
     return View(tuple(towards_start * unit[along]), tuple(unit[above]))
 
 
+def direction(row: np.ndarray) -> str:
+    """What runs along an axis of the page: the inertial coordinate, or a mixture."""
+    k = int(np.argmax(np.abs(row)))
+    if abs(row[k]) < 1 - 1e-9:
+        return "along the page"
+    return f"{'-' if row[k] < 0 else ''}e{k + 1}"
+
+
 def tube(
     axes: "Axes",
     position: Float[Values, "nodes 3"],
