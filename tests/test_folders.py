@@ -25,6 +25,7 @@ ORDER = [
     "files",
     "viewing",
     "exchange",
+    "harness",
     "reference",
 ]
 # siblings that do not know each other

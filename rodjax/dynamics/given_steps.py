@@ -174,7 +174,8 @@ def onto_switches(scene: Scene, start, times, xp=jnp):
 
 
 def _run(states: State, infos: StepInfo, code: Result) -> Run:
-    states, infos = jax.tree.map(jnp.asarray, (states, infos))
+    # put, not converted: that would compile a program for every length
+    states, infos = jax.tree.map(jax.device_put, (states, infos))
     none = jnp.asarray(0, jnp.int32)
     return Run(states, infos, as_code(code), none, none)
 

@@ -1,0 +1,1 @@
+"""Rodjax as a solver in benchmarks that others keep."""
