@@ -117,7 +117,6 @@ if TYPE_CHECKING:
     from rodjax.exchange.tables import to_csv as to_csv
     from rodjax.files import storage as storage
     from rodjax.files import sweep as sweep
-    from rodjax.files import units as units
     from rodjax.fitting.bounds import Fixed as Fixed
     from rodjax.fitting.bounds import Interval as Interval
     from rodjax.fitting.bounds import Positive as Positive
@@ -134,6 +133,7 @@ if TYPE_CHECKING:
     from rodjax.fitting.priors import NormalPrior as NormalPrior
     from rodjax.fitting.robust import Huber as Huber
     from rodjax.fitting.robust import SoftL1 as SoftL1
+    from rodjax.inputs import units as units
     from rodjax.measuring import energy as energy
     from rodjax.measuring import measures as measures
     from rodjax.numerics import rotations as rotations
@@ -159,7 +159,7 @@ _FOLDERS = {
     "storage": "files",
     "sweep": "files",
     "topology": "rods",
-    "units": "files",
+    "units": "inputs",
     "windows": "dynamics",
 }
 

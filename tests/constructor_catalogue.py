@@ -31,7 +31,7 @@ from constructor_oracles import (
 )
 
 import rodjax as rx
-from rodjax.files.units import Units
+from rodjax.inputs.units import Units
 
 SECTION = rx.circular_section(0.01, 1e7, 4e6, 1500.0)
 ROD = rx.straight_rod(1.0, N, SECTION)

@@ -17,8 +17,8 @@ from rodjax.dynamics.run import continued, join_runs
 from rodjax.dynamics.step_control import StepControl
 from rodjax.equations.generalized_alpha import GeneralizedAlpha
 from rodjax.files import run_files, sealed_files
-from rodjax.files.units import Units
 from rodjax.inputs import schedules
+from rodjax.inputs.units import Units
 from rodjax.interactions import loads
 from rodjax.interactions.contact import Contact
 from rodjax.interactions.contact_laws import (

@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from rodjax.dynamics.run_sheet import sheet_of_run
 from rodjax.dynamics.step_control import Control
 from rodjax.dynamics.stepping import StepInfo, no_info
 from rodjax.inputs.argument_types import AnyArray
@@ -53,6 +54,12 @@ class Run(eqx.Module):
         return (
             f"Run({parts}, rejected={int(self.rejected)}, result={Result(int(self.result)).name})"
         )
+
+    def __str__(self) -> str:
+        return sheet_of_run(self).text
+
+    def _repr_html_(self) -> str:
+        return sheet_of_run(self).html
 
     @property
     def times(self) -> Float[Array, " k"]:

@@ -5,8 +5,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from rodjax.dynamics.run import Run
-from rodjax.files.units import SI, Units
 from rodjax.files.versions import version
+from rodjax.inputs.units import SI, Units
 from rodjax.inputs.validation import check_flag
 from rodjax.numerics.results import Result
 from rodjax.scenes.arguments import check_scene

@@ -10,7 +10,7 @@ from xml.etree.ElementTree import Element, SubElement
 import numpy as np
 
 from rodjax.exchange.node_columns import Column, at_nodes, columns_of, frames_of, part_of_nodes
-from rodjax.files.units import Units
+from rodjax.inputs.units import Units
 from rodjax.inputs.validation import check_flag
 from rodjax.rods.rod import Rod
 from rodjax.viewing.shown import shown_of

@@ -15,7 +15,7 @@ from rodjax.dynamics.coarseness import turns_of_elements
 from rodjax.dynamics.run import Run, of_states
 from rodjax.exchange.elastica_files import collected
 from rodjax.exchange.node_frames import node_frames
-from rodjax.files.units import SI, Units
+from rodjax.inputs.units import SI, Units
 from rodjax.inputs.validation import check_flag
 from rodjax.numerics.results import ModelWarning
 from rodjax.rods.builders import build_rod

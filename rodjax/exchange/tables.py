@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from rodjax.exchange.node_columns import columns_of, part_of_nodes
-from rodjax.files.units import Units
+from rodjax.inputs.units import Units
 from rodjax.inputs.validation import check_flag
 from rodjax.viewing.shown import shown_of
 

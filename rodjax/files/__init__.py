@@ -1,1 +1,1 @@
-"""Runs and sweeps in files, with their units."""
+"""Runs and sweeps in files."""

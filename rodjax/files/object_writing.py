@@ -11,7 +11,7 @@ import numpy as np
 from rodjax.files.plain_trees import write_array, write_names
 from rodjax.files.records import field_names, home, is_record
 from rodjax.files.sealed_files import StorageError
-from rodjax.files.units import Units, unit_of
+from rodjax.inputs.units import Units, unit_of
 from rodjax.rods.state import State
 
 # attributes that say what something is

@@ -19,7 +19,7 @@ from rodjax.files.plain_trees import read_images
 from rodjax.files.records import fits, registry
 from rodjax.files.run_files import chunk_image, read_run, with_chunks, write_run
 from rodjax.files.sealed_files import Frame, StorageError, framed, frames, hdf5_path
-from rodjax.files.units import SI, Units
+from rodjax.inputs.units import SI, Units
 from rodjax.numerics.results import Result, as_code
 from rodjax.rods.state import State
 from rodjax.scenes.scene import Scene

@@ -18,8 +18,8 @@ from rodjax.files.object_writing import ObjectWriter
 from rodjax.files.plain_trees import Node, read_images
 from rodjax.files.records import fits, registry
 from rodjax.files.sealed_files import StorageError, hdf5_path, replacing
-from rodjax.files.units import Units
 from rodjax.files.versions import version
+from rodjax.inputs.units import Units
 from rodjax.numerics.results import ModelWarning, Result, as_code
 from rodjax.scenes.scene import Scene
 

@@ -27,8 +27,8 @@ from rodjax.equations.generalized_alpha import GeneralizedAlpha
 from rodjax.files.recorder import Recorder
 from rodjax.files.run_files import FORMAT_VERSION, read_run, write_run
 from rodjax.files.sealed_files import StorageError
-from rodjax.files.units import SI, Units
 from rodjax.inputs.argument_types import AnyArray
+from rodjax.inputs.units import SI, Units
 from rodjax.numerics.results import Result
 from rodjax.scenes.scene import Scene
 

@@ -11,6 +11,7 @@ from jaxtyping import PyTree
 from tqdm import tqdm
 
 from rodjax.fitting.bounds import names_of
+from rodjax.inputs.sheets import Sheet
 from rodjax.inputs.validation import given
 
 Progress = Callable[[int, float, Any], None] | bool | None
@@ -150,6 +151,13 @@ class Fit(NamedTuple):
         return [special.get(name) or say(deviation) for name, deviation in pairs]
 
     __str__ = summary
+
+    def _repr_html_(self) -> str:
+        first, *others = self.summary().splitlines()
+        notes = [("", line) for line in others if not line.startswith("  ")]
+        pairs = zip(_names(self.parameters), _flat(self.parameters), self._spreads(), strict=True)
+        rows = [(name, f"{value:.6g} {spread}") for name, value, spread in pairs]
+        return Sheet(first, (*rows, *notes)).html
 
     def __repr__(self) -> str:
         names, values = _names(self.parameters), _flat(self.parameters)

@@ -1,1 +1,1 @@
-"""What people give: numbers, functions and schedules, checked once."""
+"""What people give: numbers with names of units, functions and schedules, checked once."""

@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from rodjax.inputs.argument_types import Number
+from rodjax.inputs.sheets import sheet_of
 from rodjax.inputs.validation import (
     all_known,
     as_float,
@@ -77,6 +78,12 @@ class Contact(eqx.Module):
     shares: tuple[int, ...] | None = eqx.field(static=True, default=None, repr=False)
     rings: tuple[bool, ...] | None = eqx.field(static=True, default=None, repr=False)
     dual: Dual | None = eqx.field(default=None, repr=False)
+
+    def __str__(self) -> str:
+        return sheet_of(self).text
+
+    def _repr_html_(self) -> str:
+        return sheet_of(self).html
 
     def __check_init__(self):
         check_instance(AbstractLaw, "give a law such as Penalty(stiffness)", law=self.law)

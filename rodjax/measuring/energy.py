@@ -34,6 +34,7 @@ from rodjax.measuring.energies import (
     strain_energy_density,
     torsion_energy,
 )
+from rodjax.measuring.ledger_sheet import sheet_of_ledger
 from rodjax.measuring.material_work import booked, material_work
 from rodjax.measuring.reactions import Reactions, reactions, unbalanced
 from rodjax.numerics import rotations
@@ -108,6 +109,15 @@ class Ledger(NamedTuple):
     contact_loss: Float[Array, " k"] | None = None  # part of contact_work
     actuation_work: Float[Array, " k"] | None = None
     material_loss: Float[Array, " k"] | None = None
+
+    def __repr__(self) -> str:
+        return sheet_of_ledger(self).title.removesuffix("; at its end:")
+
+    def __str__(self) -> str:
+        return sheet_of_ledger(self).text
+
+    def _repr_html_(self) -> str:
+        return sheet_of_ledger(self).html
 
     @property
     def work(self) -> Float[Array, " k"]:

@@ -35,6 +35,7 @@ from rodjax.rods.framing import (
 )
 from rodjax.rods.lump import Lump
 from rodjax.rods.material import AbstractMaterial, stiffness_matrix
+from rodjax.rods.rod_sheet import sheet_of_rod
 
 
 def _as_frames(value) -> Any:
@@ -289,6 +290,12 @@ class Rod(eqx.Module):
         else:
             size = {"length": self.length}
         return named("Rod", {**size, **given})
+
+    def __str__(self) -> str:
+        return sheet_of_rod(self).text
+
+    def _repr_html_(self) -> str:
+        return sheet_of_rod(self).html
 
     @property
     def elements(self) -> int:

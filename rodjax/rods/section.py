@@ -9,6 +9,8 @@ import numpy as np
 from jaxtyping import Array
 
 from rodjax.inputs.argument_types import AnyArray, Number
+from rodjax.inputs.sheets import sheet_of, told
+from rodjax.inputs.units import used
 from rodjax.inputs.user_functions import called
 from rodjax.inputs.validation import (
     as_float,
@@ -74,6 +76,12 @@ class Section(eqx.Module):
     coupling: Three | None = None
     torque_per_tension: Property | None = None
     material: AbstractMaterial | None = None
+
+    def __str__(self) -> str:
+        return sheet_of(self).text
+
+    def _repr_html_(self) -> str:
+        return sheet_of(self).html
 
     def __check_init__(self):
         optional = ("rotary_inertia", "compliance", "coupling")
@@ -245,4 +253,23 @@ def circular_section(
             material=material,
         )
 
-    return at
+    words = numbers | {"diameter": diameter} | given(material=material)
+    return _Circular(at, words)
+
+
+class _Circular:
+    """A function of arc lengths that says what it was made of."""
+
+    def __init__(self, at: Callable[[AnyArray], Section], words: dict[str, Any]):
+        self._at, self._words = at, words
+
+    def __call__(self, midpoints: AnyArray) -> Section:
+        return self._at(midpoints)
+
+    def __repr__(self) -> str:
+        u = used()
+        modulus = f"{u.force}/{u.length}^2"
+        own = {"youngs_modulus": modulus, "shear_modulus": modulus, "diameter": u.length}
+        own["density"] = f"{u.mass}/{u.length}^3"
+        said = (f"{name}={told(value, own.get(name))}" for name, value in self._words.items())
+        return f"circular_section({', '.join(said)})"

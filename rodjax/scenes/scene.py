@@ -30,6 +30,7 @@ from rodjax.scenes.holds import Held, Node
 from rodjax.scenes.material_probing import check_law
 from rodjax.scenes.potentials import check_potential
 from rodjax.scenes.scene_checks import as_one, ends_of
+from rodjax.scenes.scene_sheet import sheet_of_scene
 
 _FREE = Free()
 
@@ -139,6 +140,12 @@ class Scene(eqx.Module):
         parts = [f"    {name}={brief(getattr(self, name))}," for name in fields]
         rod = f"    rod={self.rod!r},"
         return "\n".join(["Scene(", rod, *parts[1:], ")"])
+
+    def __str__(self) -> str:
+        return sheet_of_scene(self).text
+
+    def _repr_html_(self) -> str:
+        return sheet_of_scene(self).html
 
     @property
     def rods(self) -> tuple[Rod, ...]:

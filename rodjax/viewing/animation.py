@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from rodjax.files.units import Units
+from rodjax.inputs.units import Units
 from rodjax.inputs.validation import check_integer, check_positive, check_scalar, given
 from rodjax.viewing.projection import Page
 from rodjax.viewing.shown import heading_of, picked

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from rodjax.dynamics.coarseness import turns_of_elements
-from rodjax.files.units import Units
+from rodjax.inputs.units import Units
 from rodjax.interactions.roles import Role
 from rodjax.measuring import energy
 from rodjax.measuring.blocks import over_states

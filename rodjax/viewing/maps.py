@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from rodjax.files.units import Units
+from rodjax.inputs.units import Units
 from rodjax.rods.rod import Rod
 from rodjax.viewing.colouring import Measure, scaled
 from rodjax.viewing.projection import colours_of

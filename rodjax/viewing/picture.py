@@ -8,7 +8,7 @@ import numpy as np
 
 from rodjax.constraints.ends import Free
 from rodjax.dynamics.run import Run
-from rodjax.files.units import Units
+from rodjax.inputs.units import Units
 from rodjax.inputs.validation import as_integer, check_integer, check_positive, check_scalar, given
 from rodjax.measuring import energy, measures
 from rodjax.measuring.blocks import over_states

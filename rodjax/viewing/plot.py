@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from jaxtyping import Float
 
-from rodjax.files.units import SI, Units
+from rodjax.inputs.units import SI, Units
 from rodjax.rods.rod import Rod
 from rodjax.rods.state import State
 from rodjax.viewing.tubes import Values, View, direction, facing, tube

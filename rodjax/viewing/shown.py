@@ -11,7 +11,7 @@ from jaxtyping import Float
 
 from rodjax.dynamics.run import Run, of_states
 from rodjax.files import storage
-from rodjax.files.units import SI, Units
+from rodjax.inputs.units import Units, used
 from rodjax.inputs.validation import as_integer, check_integer
 from rodjax.inputs.validation import shown as briefly
 from rodjax.numerics.results import Result
@@ -77,7 +77,7 @@ def shown_of(scene: Any, run: Any, units: Units | None) -> Shown:
             " that the run is of, and one run"
         )
     given = run if hasattr(run, "infos") else None
-    return Shown(scene, states, code, units or SI, given)
+    return Shown(scene, states, code, units or used(), given)
 
 
 def _stacked(states: Any) -> Any:

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from rodjax.files.units import Units
+from rodjax.inputs.units import Units
 from rodjax.inputs.validation import check_positive, check_scalar, given
 from rodjax.viewing import bodies, colouring, packing
 from rodjax.viewing.colouring import Measure

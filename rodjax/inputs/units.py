@@ -42,6 +42,31 @@ class Units(_Names):
 
 SI = Units()
 
+_USED = [SI]
+
+
+def use(units: Units) -> Units:
+    """Print texts, and show runs for which nothing else is said, with these names from now on.
+
+        rx.units.use(rx.units.Units("nm", "s", "pN s^2/nm", "pN"))
+
+    Args:
+        units: the names; SI at first.
+
+    Returns:
+        The names used until then.
+    """
+    if not isinstance(units, Units):
+        raise ValueError(f"units: give names such as Units('nm', 's'), got {shown(units)}")
+    before, _USED[0] = _USED[0], units
+    return before
+
+
+def used() -> Units:
+    """The names that texts are printed with."""
+    return _USED[0]
+
+
 # Templates by class and field. {of} stands for the unit of the field that holds the object: a
 # schedule's values have the unit of what it drives.
 _TEMPLATES = {
@@ -58,6 +83,14 @@ _TEMPLATES = {
     "Rod.coupling": "{force} {length}^2",
     "Rod.torque_per_tension": "{length}",
     "Rod.actuation": "rad/{length}",
+    "Section.stiffness": "{force} {length}^2",
+    "Section.mass": "{mass}/{length}",
+    "Section.rotary_inertia": "{mass} {length}",
+    "Section.compliance": "1/{force}",
+    "Section.diameter": "{length}",
+    "Section.area": "{length}^2",
+    "Section.coupling": "{force} {length}^2",
+    "Section.torque_per_tension": "{length}",
     "ElasticPlastic.yield_moment": "{force} {length}",
     "ElasticPlastic.hardening": "{force} {length}^2",
     "KelvinVoigt.bending": "{time}",
