@@ -146,7 +146,9 @@ theory = np.array([critical_turns(tension) for tension in tensions])
 
 # %%
 ratio = buckled_at / theory
-print(f"the straightest wires bear {ratio[0].min():.2f} to {ratio[0].max():.2f} of the theory's turns")
+print(
+    f"the straightest wires bear {ratio[0].min():.2f} to {ratio[0].max():.2f} of the theory's turns"
+)
 print(f"the most crooked ones {ratio[-1].min():.2f} to {ratio[-1].max():.2f}")
 assert np.all(np.abs(ratio[0] - 1) < 0.15)
 
