@@ -366,8 +366,10 @@ def test_a_browser_tells_what_is_not_there(run, scene, tmp_path):
 
 
 @pytest.mark.slow
-def test_the_page_of_the_docs_is_made(tmp_path):
+def test_all_that_the_docs_show_is_made(tmp_path):
     text = (Path(rx.__file__).parents[1] / "docs" / "looking.md").read_text()
-    code = re.search(r"```python\n(.*?)```", text, re.DOTALL)[1]
+    code = "\n".join(re.findall(r"```python\n(.*?)```", text, re.DOTALL))
     subprocess.run([sys.executable, "-W", "error", "-c", code], cwd=tmp_path, check=True)
+    made = {path.name for path in tmp_path.iterdir()}
+    assert made == {"run.html", "run.png", "run.pvd", "run", "run.csv", "spring.csv"}
     assert 1e5 < (tmp_path / "run.html").stat().st_size < 1e6
