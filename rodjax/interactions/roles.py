@@ -6,13 +6,14 @@ import enum
 class Role(enum.Enum):
     """What becomes of a load's work; see `Ledger`.
 
-    DRIVEN: work that is put in from outside, `load_work`.
-    STORED: it has a potential, `gravity`; of a load that also resists motion, what it exerts
-        beyond its wrench on a resting rod is `damping_loss`.
-    DRAG: lost to a fluid, `drag_loss`.
-    DAMPING: lost otherwise, `damping_loss`.
-    CONTACT: with what the rod touches, `contact_work`: its potential is `contact_energy`, what it
-        exerts beyond its wrench on a resting rod `contact_loss`.
+    Attributes:
+        DRIVEN: work that is put in from outside, `load_work`.
+        STORED: it has a potential, `gravity`; of a load that also resists motion, what it exerts
+            beyond its wrench on a resting rod is `damping_loss`.
+        DRAG: lost to a fluid, `drag_loss`.
+        DAMPING: lost otherwise, `damping_loss`.
+        CONTACT: with what the rod touches, `contact_work`: its potential is `contact_energy`, what
+            it exerts beyond its wrench on a resting rod `contact_loss`.
     """
 
     DRIVEN = "driven"

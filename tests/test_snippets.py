@@ -1,0 +1,49 @@
+"""What README and docs show runs when pasted, page by page."""
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+PAGES = sorted(
+    page
+    for page in [ROOT / "README.md", *(ROOT / "docs").glob("*.md")]
+    if "```python" in page.read_text(encoding="utf-8")
+)
+BLOCK = re.compile(r"^```python\n(.*?)^```$", re.MULTILINE | re.DOTALL)
+
+
+def _blocks(page: Path) -> list[str]:
+    return BLOCK.findall(page.read_text(encoding="utf-8"))
+
+
+def test_pages_are_found():
+    assert len(PAGES) > 8
+    assert all(_blocks(page) for page in PAGES)
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
+def test_blocks_are_whole(page):
+    for block in _blocks(page):
+        compile(block, page.name, "exec")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
+def test_page_runs_as_pasted(page, tmp_path):
+    # block by block in one process, as a reader would paste them; README's begin anew
+    joined = ["\n".join(_blocks(page))] if page.stem != "README" else _blocks(page)
+    for number, code in enumerate(joined):
+        script = tmp_path / f"{page.stem}_{number}.py"
+        script.write_text(code, encoding="utf-8")
+        run = subprocess.run(
+            [sys.executable, "-W", "error::UserWarning", script.name],
+            cwd=tmp_path,
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+        assert run.returncode == 0, run.stderr[-3000:]
