@@ -56,6 +56,10 @@ class Turn(eqx.Module):
     Attributes:
         axis: three inertial components of any length; positive angles turn by the right-hand rule.
         angle: schedule of the angle [rad] (one turn is 2 pi); only its changes count.
+
+    Example:
+        >>> two_turns = rx.Smooth([0.0, 4.0], [0.0, 4 * np.pi])
+        >>> driven = rx.Clamped(rotation=rx.Turn((1, 0, 0), two_turns))
     """
 
     axis: Float[Array, "3"] = eqx.field(converter=unit_vector)
@@ -86,6 +90,10 @@ class AbstractEnd(eqx.Module):
         displacement: schedule of three inertial components [m], whose changes move the node in
             the directions that the end takes away; None for an end that is held.
         rotation: a `Turn`, the same for the frame.
+
+    Example:
+        >>> isinstance(rx.Clamped(), rx.AbstractEnd)
+        True
     """
 
     displacement: eqx.AbstractVar[AbstractSchedule | None]
@@ -164,6 +172,9 @@ class Free(AbstractEnd):
 
     Attributes:
         displacement, rotation: nothing; it cannot be driven.
+
+    Example:
+        >>> cantilever = rx.Scene(rod, rx.Clamped(), rx.Free())  # which is the default
     """
 
     displacement: None = None
@@ -190,6 +201,10 @@ class Clamped(AbstractEnd):
     Attributes:
         displacement: schedule of three inertial components [m]; only its changes count.
         rotation: a `Turn`, about an inertial axis through the end's node.
+
+    Example:
+        >>> pulled = rx.Clamped(displacement=rx.Smooth([0.0, 1.0], [(0, 0, 0), (0, 0, 0.1)]))
+        >>> still = rx.Clamped()
     """
 
     displacement: AbstractSchedule | None = None
@@ -211,6 +226,9 @@ class Pinned(AbstractEnd):
     Attributes:
         displacement: schedule of three inertial components [m]; only its changes count.
         rotation: nothing; it turns as it will.
+
+    Example:
+        >>> swinging = rx.Scene(rod, rx.Pinned(), loads=(rx.Gravity((0, 0, -9.81)),))
     """
 
     displacement: AbstractSchedule | None = None
@@ -237,6 +255,9 @@ class Slider(AbstractEnd):
         displacement: schedule of three inertial components [m], whose changes across the axis
             count; along it the end slides as it will.
         rotation: a `Turn`, about an inertial axis through the end's node.
+
+    Example:
+        >>> twisted = rx.Scene(rod, rx.Clamped(), rx.Slider((1, 0, 0)))  # may slide along e1
     """
 
     axis: Float[Array, "3"] = eqx.field(converter=unit_vector)
@@ -266,6 +287,9 @@ class Switched(AbstractEnd):
         at: time of the change [s]; steps end there.
         displacement: schedule of three inertial components [m]; only its changes count.
         rotation: a `Turn`, about an inertial axis through the end's node.
+
+    Example:
+        >>> caught = rx.Switched(rx.Free(), rx.Clamped(), at=2.0)  # held where it is after 2 s
     """
 
     before: AbstractEnd

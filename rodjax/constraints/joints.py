@@ -36,6 +36,9 @@ class Point(eqx.Module):
         rod: which of the rods of the scene, from 0.
         offset: from the node, or from the body's centre of mass, in the body frame there [m].
         body: which of the scene's bodies, from 0; None for a rod. Node and rod then say nothing.
+
+    Example:
+        >>> tip, rim = rx.Point(-1), rx.Point(0, rod=1, offset=(0.005, 0, 0))
     """
 
     node: int = eqx.field(static=True, default=0)
@@ -122,6 +125,12 @@ class Weld(AbstractJoint):
 
     Attributes:
         first, second: the points, of rods or bodies.
+
+    Example:
+        >>> other = rx.straight_rod(0.5, 10, section, direction=(1, 0, 0), origin=(1, 0, 0))
+        >>> joint = rx.Weld(rx.Point(-1), rx.Point(0, rod=1))
+        >>> ends = (rx.Clamped(), rx.Free())
+        >>> scene = rx.Scene(rods=(rod, other), first_end=ends, joints=(joint,))
     """
 
     first: Point
@@ -143,6 +152,12 @@ class Ball(AbstractJoint):
 
     Attributes:
         first, second: the points, of rods or bodies.
+
+    Example:
+        >>> other = rx.straight_rod(0.5, 10, section, direction=(1, 0, 0), origin=(1, 0, 0))
+        >>> joint = rx.Ball(rx.Point(-1), rx.Point(0, rod=1))
+        >>> ends = (rx.Clamped(), rx.Free())
+        >>> scene = rx.Scene(rods=(rod, other), first_end=ends, joints=(joint,))
     """
 
     first: Point
@@ -165,6 +180,12 @@ class Hinge(AbstractJoint):
     Attributes:
         first, second: the points, of rods or bodies.
         axis: in the first point's body frame, of any length.
+
+    Example:
+        >>> other = rx.straight_rod(0.5, 10, section, direction=(1, 0, 0), origin=(1, 0, 0))
+        >>> joint = rx.Hinge(rx.Point(-1), rx.Point(0, rod=1), axis=(1, 0, 0))
+        >>> ends = (rx.Clamped(), rx.Free())
+        >>> scene = rx.Scene(rods=(rod, other), first_end=ends, joints=(joint,))
     """
 
     first: Point
@@ -192,6 +213,12 @@ class Slide(AbstractJoint):
     Attributes:
         first, second: the points, of rods or bodies.
         axis: in the first point's body frame, of any length.
+
+    Example:
+        >>> other = rx.straight_rod(0.5, 10, section, direction=(1, 0, 0), origin=(1, 0, 0))
+        >>> joint = rx.Slide(rx.Point(-1), rx.Point(0, rod=1), axis=(0, 0, 1))
+        >>> ends = (rx.Clamped(), rx.Free())
+        >>> scene = rx.Scene(rods=(rod, other), first_end=ends, joints=(joint,))
     """
 
     first: Point

@@ -23,6 +23,9 @@ class Support(eqx.Module):
             NaN where it is traced.
         end: what it takes away, and how it moves.
         rod: which of the rods of the scene it holds, from 0.
+
+    Example:
+        >>> bridge = rx.Scene(rod, rx.Pinned(), supports=(rx.Support(10, rx.Pinned()),))
     """
 
     node: Int[Array, ""] = eqx.field(converter=as_node)

@@ -180,6 +180,11 @@ def adaptive_rollout(
             the precision, or something is traced.
         SimulationError: the run failed; its `.partial` is the run up to the failure.
         Interrupted: Ctrl-C; its `.partial` is the run up to then, to be resumed as any other.
+
+    Example:
+        >>> run = rx.adaptive_rollout(scene, rx.start(scene), 0.05)
+        >>> float(run.times[-1])
+        0.05
     """
     check_motion(scene, state)
     check_end_time(end_time)

@@ -55,6 +55,11 @@ def start(
         ValueError: a shape is wrong, a value not finite or too small for the rod's precision, the
             rod is stretched, its ends hold it twice in some direction, nothing resists its spin, or
             strands are nearer to each other than the contact can hold them.
+
+    Example:
+        >>> state = rx.start(scene, velocity=np.zeros((21, 3)))
+        >>> float(state.time)
+        0.0
     """
     check_scene(scene)
     rod = scene.rod

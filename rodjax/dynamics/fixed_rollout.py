@@ -77,6 +77,11 @@ def rollout(
         ValueError: times or schedules do not fit (checked outside traced code).
         SimulationError: a step failed.
         Interrupted: Ctrl-C; its `.partial` is the run up to then (outside traced code).
+
+    Example:
+        >>> run = rx.rollout(scene, rx.start(scene), np.linspace(0.02, 0.2, 10))
+        >>> len(run.times)
+        11
     """
     check_motion(scene, state)
     check_step_times(times)

@@ -34,6 +34,12 @@ class Run(eqx.Module):
         control: memory of the step control.
         steps_before: accepted steps before each saved state, where they were thinned by time; None
             where every one is saved, or every so many.
+
+    Example:
+        >>> run.final.position.shape, rx.Result(int(run.result)).name
+        ((21, 3), 'SUCCESS')
+        >>> float(run.nearest(0.21).time)
+        0.2
     """
 
     states: State

@@ -55,9 +55,6 @@ def simulate(
 ) -> Run:
     """The motion of a scene until a time, from its start or on from where a run has ended.
 
-        run = rx.simulate(scene, 10.0)
-        run = rx.simulate(scene, 20.0, run)  # goes on, as if it had never stopped
-
     Steps are chosen by the local error (`adaptive_rollout`), or of a given size (`rollout`). Ctrl-C
     stops the run, which is returned as far as it came, its `result` INTERRUPTED; so is a run that
     fails, with its code. A `ModelWarning` says so in both cases.
@@ -83,6 +80,12 @@ def simulate(
 
     Raises:
         ValueError: an argument or a schedule of the scene does not fit.
+
+    Example:
+        >>> run = rx.simulate(scene, 0.2, dt=0.02)
+        >>> run = rx.simulate(scene, 0.4, run, dt=0.02)  # goes on, as if it had never stopped
+        >>> len(run.times)
+        21
     """
     check_scene(scene)
     check_progress(progress)

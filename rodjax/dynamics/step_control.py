@@ -31,6 +31,9 @@ class StepControl(eqx.Module):
         first_step, max_step, min_step: [time]; max_step None means a hundredth of the run,
             first_step None a thousandth of max_step, min_step None 1e-14 of it (1e-9 in single
             precision): a rough rod without inertia settles in tiny steps first.
+
+    Example:
+        >>> careful = rx.StepControl(relative=1e-3, absolute=2.5e-4, max_step=0.01)
     """
 
     relative: Float[Array, ""] = eqx.field(converter=as_float, default=0.01)

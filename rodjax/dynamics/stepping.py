@@ -98,6 +98,11 @@ def step(
 
     Returns:
         The new state, and what is to be told of the step.
+
+    Example:
+        >>> state, info = rx.step(scene, rx.start(scene), jnp.asarray(0.01))
+        >>> rx.Result(int(info.result)).name
+        'SUCCESS'
     """
     method = GeneralizedAlpha() if method is None else method
     state = prepare(scene, state)

@@ -62,6 +62,9 @@ class GeneralizedAlpha(eqx.Module):
             float32. The stretch of an inextensible rod is kept to 1e-12 whatever it says (in
             float32, and in every rod, as well as rounding of the positions lets it).
         max_iterations: Newton iterations allowed in a step.
+
+    Example:
+        >>> lively = rx.GeneralizedAlpha(spectral_radius=0.8)
     """
 
     spectral_radius: Float[Array, ""] = eqx.field(converter=as_float, default=0.5)

@@ -75,6 +75,11 @@ def stability(scene: Scene, state: State, count: int = 1) -> Stability:
 
     Raises:
         ValueError: the ends leave the rod free to move, or `count` does not fit.
+
+    Example:
+        >>> state, _ = rx.equilibrium(scene, rx.placing(scene))
+        >>> bool(rx.stability(scene, state).eigenvalues[0] > 0)
+        True
     """
     check_motion(scene, state)
     check_held(scene, state)

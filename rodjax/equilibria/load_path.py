@@ -123,6 +123,11 @@ def equilibrium(
             direction, strands start too near for the contact, a schedule or a constraint's time
             does not fit, a value is not finite (checked outside traced code).
         SimulationError: the path ended early, as it does where the equilibrium becomes critical.
+
+    Example:
+        >>> state, info = rx.equilibrium(scene, rx.placing(scene))
+        >>> float(state.position[-1, 2]) < -0.01, int(info.unstable)
+        (True, 0)
     """
     check_motion(scene, state)
     state = scene.remembering(state)

@@ -74,6 +74,10 @@ def vibration(scene: Scene, state: State, count: int = 1) -> Vibration:
     Raises:
         ValueError: the rod has no mass, its rotary inertia is too small for its precision, the ends
             leave it free to move, or `count` does not fit.
+
+    Example:
+        >>> state, _ = rx.equilibrium(scene, rx.placing(scene))
+        >>> lowest = rx.vibration(scene, state, count=2).frequency  # [Hz]
     """
     check_motion(scene, state)
     if scene.rod.mass is None:

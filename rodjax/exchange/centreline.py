@@ -32,6 +32,11 @@ class Centreline(NamedTuple):
         points: (k, 3) [m].
         arc_length: of the points along the smooth curve through them [m].
         report: what was found and changed, a line each; nothing where all was well.
+
+    Example:
+        >>> line = rx.centreline([(0, 0, 0), (0.5, 0, 0.1), (1, 0, 0)], points=20)
+        >>> line.points.shape, line.report
+        ((20, 3), ('3 points resampled to 20, equally spaced',))
     """
 
     points: Float[np.ndarray, "k 3"]
@@ -77,10 +82,6 @@ def centreline(
 ) -> Centreline:
     """A measured curve, looked through: what is wrong is named by its line, with the mend.
 
-        line = rx.centreline("cable.csv", factor=1e-3)  # millimetres
-        print(line)
-        rod = line.rod(80, section)
-
     What is told without being asked, in `report`: points that lie on the one before them are left
     out, points whose parameter falls are reversed, more than 2000 are thinned to as many. What may
     be a fault of the data is refused until it is said to be right.
@@ -106,6 +107,12 @@ def centreline(
         ValueError: numbers are missing, points are out of order, a gap is too large, the line turns
             back on itself; the message names the lines and the mend.
         FileNotFoundError: there is no such file.
+
+    Example:
+        >>> x = np.linspace(0.0, 1000.0, 21)  # millimetres
+        >>> np.savetxt("cable.csv", np.stack([x, 0 * x, 40 * np.sin(x / 200)], -1), delimiter=",")
+        >>> line = rx.centreline("cable.csv", factor=1e-3)
+        >>> cable = line.rod(20, section)
     """
     check_flag(reverse=reverse, sort=sort, drop_missing=drop_missing)
     numbers = {"factor": factor, **given(largest_gap=largest_gap, noise=noise)}

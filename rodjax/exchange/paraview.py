@@ -29,8 +29,6 @@ def to_paraview(
 ) -> Path:
     """Write a run for ParaView: a mesh of polylines for every saved state, and their times.
 
-        rx.to_paraview(scene, run, "run.pvd")  # open this one; the meshes are beside, in run/
-
     Every rod is one polyline, every body by itself a vertex. At the points there are the velocity,
     the frame a1, a2, a3, the radius, the rest arc length, which rod it is, and the measures that
     `view` colours by; names say the unit, as "tension [N]". Measures of elements stand at the nodes
@@ -49,6 +47,11 @@ def to_paraview(
 
     Raises:
         ValueError: the run is not of this scene, or none of its states is of numbers.
+
+    Example:
+        >>> path = rx.to_paraview(scene, run, "run.pvd")  # open this one; the meshes are in run/
+        >>> len(list(path.parent.glob("run/*.vtp")))
+        11
     """
     check_flag(measures=measures)
     shown = shown_of(scene, run, units)

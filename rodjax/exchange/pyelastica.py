@@ -33,6 +33,10 @@ class Motion(NamedTuple):
         run: its states, and no steps between them.
         report: what was not in the source, and what stands for it, a line each.
         units: names of the units.
+
+    Example:
+        >>> motion = rx.from_pyelastica("rod_00.npz", section)  # doctest: +SKIP
+        >>> print(*motion.report)  # doctest: +SKIP
     """
 
     scene: Scene
@@ -56,11 +60,6 @@ def from_pyelastica(
     units: Units = SI,
 ) -> Motion:
     """A motion out of what a callback of PyElastica collected.
-
-        section = rx.circular_section(0.04, 1e6, 3.6e5, 1000.0, extensible=True)
-        motion = rx.from_pyelastica("rod_00.npz", section)
-        rx.view(motion)
-        rx.measures.linking(motion.scene, motion.run)
 
     How things are called there, at t times and of n elements, and what becomes of them:
 
@@ -92,6 +91,11 @@ def from_pyelastica(
         ValueError: something is missing or of another shape, or the directors are no frames along
             the rod.
         FileNotFoundError: there is no such file.
+
+    Example:
+        >>> soft = rx.circular_section(0.04, 1e6, 3.6e5, 1000.0, extensible=True)
+        >>> motion = rx.from_pyelastica("rod_00.npz", soft)  # doctest: +SKIP
+        >>> shown = rx.view(motion)  # doctest: +SKIP
     """
     check_flag(stress_free=stress_free)
     data, report = collected(source), []

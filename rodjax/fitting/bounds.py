@@ -69,7 +69,11 @@ class _AbstractAnyNumber(AbstractBound):
 
 
 class Unbounded(_AbstractAnyNumber):
-    """Any number: u = x / scale. The scale says what a large change is."""
+    """Any number: u = x / scale. The scale says what a large change is.
+
+    Example:
+        >>> bounds = {"stiffness": rx.Positive(), "offset": rx.Unbounded()}
+    """
 
     scale: Float[Array, ""] = eqx.field(converter=as_float, default=1.0)
 
@@ -88,7 +92,11 @@ class Unbounded(_AbstractAnyNumber):
 
 
 class Fixed(_AbstractAnyNumber):
-    """The guess's value: it is no unknown of the fit."""
+    """The guess's value: it is no unknown of the fit.
+
+    Example:
+        >>> bounds = {"friction": rx.Fixed(), "stiffness": rx.Positive()}
+    """
 
     @property
     def free(self):
@@ -105,7 +113,11 @@ class Fixed(_AbstractAnyNumber):
 
 
 class Positive(AbstractBound):
-    """A positive number: u = log x, so that changes are relative."""
+    """A positive number: u = log x, so that changes are relative.
+
+    Example:
+        >>> bounds = {"stiffness": rx.Positive(), "offset": rx.Unbounded()}
+    """
 
     def to_unbounded(self, value):
         return jnp.log(value)
@@ -129,6 +141,9 @@ class Interval(AbstractBound):
 
     In the middle of the interval a unit of u is its width. Bounds are numbers, or arrays with a
     number for each element of the parameter; they are rounded to its precision.
+
+    Example:
+        >>> bounds = {"friction": rx.Interval(0.0, 1.0)}
     """
 
     low: Float[Array, "..."] = eqx.field(converter=as_float)

@@ -76,6 +76,11 @@ def minimize(
     Raises:
         FitError: the loss or its gradient is not finite at the guess.
         ValueError: guess and bounds do not fit.
+
+    Example:
+        >>> found = rx.minimize(lambda x: jnp.sum((x - 2.0) ** 2), np.zeros(3))
+        >>> bool(jnp.allclose(found.parameters, 2.0, atol=1e-3))
+        True
     """
     check_settings(max_steps, tolerance, None, progress)
     if not callable(loss):

@@ -76,6 +76,14 @@ def least_squares(
             prediction or derivative that is not finite at the guess.
         ValueError: guess, bounds, priors or the prediction's shape do not fit, or priors or a
             robust loss are to weigh data whose deviation is not stated.
+
+    Example:
+        >>> t = np.linspace(0.0, 2.0, 9)
+        >>> data = rx.Observations(t, 3.0 * np.exp(-1.5 * t), deviation=0.01)
+        >>> decay = lambda p: p["height"] * jnp.exp(-p["rate"] * t)
+        >>> fit = rx.least_squares(decay, {"height": 1.0, "rate": 1.0}, data)
+        >>> round(float(fit.parameters["rate"]), 6)
+        1.5
     """
     check_settings(max_steps, tolerance, threshold, progress)
     problem = Problem.of(predict, unknowns_of(guess, bounds), observations, priors, robust)
@@ -141,6 +149,12 @@ def several_starts(
     Raises:
         FitError: as `least_squares` does for the best of the starts; all of them fail.
         ValueError: as `least_squares`, or the guesses are not of one number.
+
+    Example:
+        >>> t = np.linspace(0.0, 2.0, 9)
+        >>> data = rx.Observations(t, np.sin(3.0 * t), deviation=0.01)
+        >>> fits = rx.several_starts(lambda w: jnp.sin(w * t), np.array([1.0, 2.8, 4.0]), data)
+        >>> best = fits[0]
     """
     check_settings(max_steps, tolerance, threshold, progress)
     counts = {np.shape(leaf)[:1] for leaf in jax.tree.leaves(guesses)}

@@ -18,11 +18,24 @@ Progress = Callable[[int, float, Any], None] | bool | None
 
 
 class FitError(ValueError):
-    """Data, parameters or a prediction with which a fit cannot begin."""
+    """Data, parameters or a prediction with which a fit cannot begin.
+
+    Example:
+        >>> try:
+        ...     rx.least_squares(lambda p: jnp.zeros(2), 1.0, rx.Observations([0, 1], [1.0, 1.0]))
+        ... except rx.FitError as error:
+        ...     print("refused")
+        refused
+    """
 
 
 class FitResult(enum.IntEnum):
-    """Why a fit ended."""
+    """Why a fit ended.
+
+    Example:
+        >>> rx.FitResult(0).name
+        'CONVERGED'
+    """
 
     CONVERGED = 0
     SETTLED = 1
@@ -79,6 +92,12 @@ class Fit(NamedTuple):
         data_freedom: of the data alone: their number less what they, not the priors, determine.
         prior_chi_squared: the priors' part of chi squared.
         weights: of the data: 1 in full, less for outliers under a robust loss, 0 if missing.
+
+    Example:
+        >>> data = rx.Observations([0.0, 1.0, 2.0], [0.0, 2.1, 3.9], deviation=0.1)
+        >>> fit = rx.least_squares(lambda slope: slope * jnp.arange(3.0), 1.0, data)
+        >>> round(float(fit.parameters), 2), round(float(fit.deviations), 3)
+        (1.98, 0.045)
     """
 
     parameters: PyTree

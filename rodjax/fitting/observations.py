@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from rodjax.dynamics.run import Run
+from rodjax.inputs.argument_types import AnyArray
 from rodjax.inputs.validation import (
     all_known,
     as_float,
@@ -43,6 +44,9 @@ class Observations(eqx.Module):
             None: wherever it is not NaN.
 
     Missing samples take no part in a fit, nor in its degrees of freedom.
+
+    Example:
+        >>> data = rx.Observations([0.1, 0.2, 0.3], [1.0, np.nan, 0.8], deviation=0.05)
     """
 
     times: Float[Array, "k *m"] = eqx.field(converter=as_float)
@@ -141,7 +145,7 @@ class Observations(eqx.Module):
 
 def positions_at(
     run: Run,
-    times: Float[Array, "k *columns"],
+    times: Float[AnyArray, "k *columns"],
     nodes: Int[Array, " m"] | Sequence[int] | None = None,
 ) -> Float[Array, "k m 3"]:
     """Centreline at given times [m], by the cubic through the positions and velocities saved.
@@ -157,6 +161,10 @@ def positions_at(
     Raises:
         ValueError: a time lies outside the run (checked outside traced code), or the nodes are
             not those of the rod, or not one for each column of times.
+
+    Example:
+        >>> rx.positions_at(run, np.array([0.05, 0.15]), nodes=[10, -1]).shape
+        (2, 2, 3)
     """
     check_numbers(times=times)
     saved = run.times

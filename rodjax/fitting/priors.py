@@ -24,6 +24,9 @@ class NormalPrior(AbstractPrior):
     """Normally distributed about `mean` with the standard `deviation`, in the parameter's units.
 
     Numbers, or arrays with a number for each element of the parameter.
+
+    Example:
+        >>> priors = {"diameter": rx.NormalPrior(0.01, 5e-4)}
     """
 
     mean: Float[Array, "..."] = eqx.field(converter=as_float)
@@ -41,6 +44,9 @@ class LogNormalPrior(AbstractPrior):
     """A positive parameter whose logarithm is normally distributed about that of `median`.
 
     `deviation`: standard deviation of the logarithm, for a small one that relative to the value.
+
+    Example:
+        >>> priors = {"drag": rx.LogNormalPrior(1.0, 0.3)}  # within 30 %
     """
 
     median: Float[Array, "..."] = eqx.field(converter=as_float)

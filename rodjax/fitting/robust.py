@@ -36,6 +36,12 @@ class Huber(AbstractRobust):
     """r^2 up to `scale` deviations, 2 scale |r| - scale^2 beyond (Huber 1964).
 
     The default loses 5 % of the information of Gaussian noise.
+
+    Example:
+        >>> data = rx.Observations([0, 1, 2], [1.0, 1.1, 9.0], deviation=0.1)
+        >>> fit = rx.least_squares(lambda p: p * jnp.ones(3), 1.0, data, robust=rx.Huber())
+        >>> bool(fit.parameters < 2)
+        True
     """
 
     scale: Float[Array, ""] = eqx.field(converter=as_float, default=1.345)
@@ -52,7 +58,14 @@ class Huber(AbstractRobust):
 
 
 class SoftL1(AbstractRobust):
-    """2 scale^2 (sqrt(1 + (r/scale)^2) - 1): smooth, and 2 scale |r| far out."""
+    """2 scale^2 (sqrt(1 + (r/scale)^2) - 1): smooth, and 2 scale |r| far out.
+
+    Example:
+        >>> data = rx.Observations([0, 1, 2], [1.0, 1.1, 9.0], deviation=0.1)
+        >>> fit = rx.least_squares(lambda p: p * jnp.ones(3), 1.0, data, robust=rx.SoftL1())
+        >>> bool(fit.parameters < 2)
+        True
+    """
 
     scale: Float[Array, ""] = eqx.field(converter=as_float, default=1.0)
 

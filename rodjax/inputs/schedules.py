@@ -28,7 +28,19 @@ from rodjax.inputs.validation import (
 
 
 class AbstractSchedule(eqx.Module):
-    """A scalar or vector given for all times from 0 to `until`."""
+    """A scalar or vector given for all times from 0 to `until`.
+
+    Example:
+        >>> class Decay(rx.AbstractSchedule):
+        ...     rate: jax.Array
+        ...     def __call__(self, time):
+        ...         return jnp.exp(-self.rate * time)
+        ...     @property
+        ...     def until(self):
+        ...         return jnp.inf
+        >>> float(Decay(jnp.asarray(2.0))(jnp.asarray(0.0)))
+        1.0
+    """
 
     @abc.abstractmethod
     def __call__(self, time: Float[Array, ""]) -> Float[Array, "*k"]:
@@ -110,6 +122,9 @@ class Constant(AbstractSchedule):
 
     Attributes:
         value: a number or an array, in the unit of what it prescribes.
+
+    Example:
+        >>> hanging_weight = rx.PointLoad(-1, force=rx.Constant((0.0, 0.0, -2.0)))
     """
 
     value: Float[Array, "*k"] = eqx.field(converter=as_float)
@@ -133,6 +148,11 @@ class PiecewiseLinear(AbstractSchedule):
     Attributes:
         times: of the knots, at least two, increasing [s]. A run may last until the last.
         values: at the knots, one row a time: numbers or vectors, in the unit of what it prescribes.
+
+    Example:
+        >>> ramp = rx.PiecewiseLinear([0.0, 2.0, 3.0], [0.0, 4.0, 4.0])
+        >>> float(ramp(jnp.asarray(1.0)))
+        2.0
     """
 
     times: Float[Array, " k"] = eqx.field(converter=as_float)
@@ -165,6 +185,11 @@ class PiecewiseLinearRate(AbstractSchedule):
         times: of the knots, at least two, increasing [s]. A run may last until the last.
         rates: at the knots, one row a time: numbers or vectors, in the unit of what it prescribes
             per second.
+
+    Example:
+        >>> speed_up = rx.PiecewiseLinearRate([0.0, 1.0, 5.0], [0.0, 2.0, 2.0])  # [rad/s]
+        >>> float(speed_up(jnp.asarray(2.0)))  # the angle [rad]
+        3.0
     """
 
     times: Float[Array, " k"] = eqx.field(converter=as_float)
@@ -202,6 +227,11 @@ class Smooth(AbstractSchedule):
     Attributes:
         times: of the knots, at least two, increasing [s]. A run may last until the last.
         values: at the knots, one row a time: numbers or vectors, in the unit of what it prescribes.
+
+    Example:
+        >>> soft = rx.Smooth([0.0, 2.0], [0.0, 1.0])
+        >>> float(soft(jnp.asarray(1.0)))
+        0.5
     """
 
     times: Float[Array, " k"] = eqx.field(converter=as_float)
@@ -239,6 +269,10 @@ class Function(AbstractSchedule):
     Attributes:
         function: of the time [s], a scalar, written with jax.numpy; returns a number or a vector.
         last: time until which it holds [s]; a run cannot last longer.
+
+    Example:
+        >>> wave = rx.Function(lambda t: jnp.stack([0.0 * t, 0.0 * t, 0.1 * jnp.sin(t)]))
+        >>> heaving = rx.Scene(rod, rx.Clamped(displacement=wave))
     """
 
     function: Callable = eqx.field(static=True)

@@ -62,6 +62,11 @@ class Contact(eqx.Module):
         listed, shares: set by the scene, see `fitted`.
         rings: set by the scene, which of several rods are closed; None: none of them.
         dual: set by the equations of a step, see `AbstractFriction.dual`.
+
+    Example:
+        >>> law = rx.Penalty(stiffness=1e6)
+        >>> contact = rx.Contact(law, segments=40, cutoff=0.012)  # of rods 10 mm thick
+        >>> touching = rx.Scene(rod, rx.Clamped(), contact=contact)
     """
 
     law: AbstractLaw

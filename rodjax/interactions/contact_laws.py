@@ -34,7 +34,17 @@ class PairProperties(NamedTuple):
 
 
 class AbstractLaw(eqx.Module):
-    """A pair interaction."""
+    """A pair interaction.
+
+    Example:
+        >>> class Exponential(rx.AbstractLaw):
+        ...     strength: jax.Array
+        ...     def repulsion(self, distance, approach, pair):
+        ...         return self.strength * jnp.exp(-distance / pair.diameter)
+        ...     def smallest(self, pair):
+        ...         return 0.1 * pair.diameter
+        >>> contact = rx.Contact(Exponential(jnp.asarray(1.0)), segments=40, cutoff=0.05)
+    """
 
     @abc.abstractmethod
     def repulsion(self, distance, approach, pair: PairProperties) -> Array:
@@ -142,6 +152,10 @@ class DampedInversePower(AbstractLaw):
         k2, k4: exponents.
         offset: where the pole is, in diameters.
         gap_floor: closer than so many diameters to the pole the law is continued by its tangent.
+
+    Example:
+        >>> law = rx.DampedInversePower(k1=1e-7, k3=1e-6, reference_spacing=1e-3)  # the paper's
+        >>> contact = rx.Contact(law, segments=200, cutoff=15e-3)
     """
 
     k1: Float[Array, ""] = eqx.field(converter=as_float)
@@ -188,7 +202,12 @@ class DampedInversePower(AbstractLaw):
 
 
 class InversePower(AbstractLaw):
-    """psi = strength / d^exponent (Klapper 1996); continued below `floor` D."""
+    """psi = strength / d^exponent (Klapper 1996); continued below `floor` D.
+
+    Example:
+        >>> law = rx.InversePower(strength=1e-6, exponent=4.0)
+        >>> contact = rx.Contact(law, segments=40, cutoff=0.02)
+    """
 
     strength: Float[Array, ""] = eqx.field(converter=as_float)
     exponent: Float[Array, ""] = eqx.field(converter=as_float)
@@ -222,6 +241,10 @@ class LennardJones(AbstractLaw):
     """psi = (24 energy / d) (2 (range/d)^12 - (range/d)^6), attractive beyond 2^(1/6) range.
 
     `energy` [J/m^2] per length of either strand, `range` [m]; continued below half the range.
+
+    Example:
+        >>> law = rx.LennardJones(energy=1e-6, range=0.012)
+        >>> contact = rx.Contact(law, segments=40, cutoff=0.02)
     """
 
     energy: Float[Array, ""] = eqx.field(converter=as_float)
@@ -249,6 +272,10 @@ class DebyeHueckel(AbstractLaw):
     `strength` [N] is the product of the line charge densities over 4 pi permittivity (per length
     of either strand: k_B T l_B (charges per length)^2), `screening` the Debye length [m];
     continued below `floor` D.
+
+    Example:
+        >>> law = rx.DebyeHueckel(strength=1e-3, screening=2e-3)
+        >>> contact = rx.Contact(law, segments=40, cutoff=0.02)
     """
 
     strength: Float[Array, ""] = eqx.field(converter=as_float)
@@ -276,6 +303,10 @@ class Barrier(AbstractLaw):
     psi = -db/dd with b = -stiffness x^2 ln(y), y = (d - D)/(reach D), x = (y - 1) reach D: the
     clamped log barrier of incremental potential contact (Li et al. 2020), C2 where it begins.
     `stiffness` [N/m^3]; continued by its tangent below y = `floor`.
+
+    Example:
+        >>> law = rx.Barrier(stiffness=1e6)
+        >>> contact = rx.Contact(law, segments=40, cutoff=0.02)
     """
 
     stiffness: Float[Array, ""] = eqx.field(converter=as_float)
@@ -315,6 +346,10 @@ class Penalty(AbstractLaw):
 
     Strands side by side, at d = D - x with width << x << D, push each other by
     (4/3) stiffness x sqrt(2 D x) per length, the integral of psi along either.
+
+    Example:
+        >>> law = rx.Penalty(stiffness=1e6, relaxation=1e-3)
+        >>> contact = rx.Contact(law, segments=40, cutoff=0.02)
     """
 
     stiffness: Float[Array, ""] = eqx.field(converter=as_float)

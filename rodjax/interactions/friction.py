@@ -58,6 +58,10 @@ class AbstractFriction(eqx.Module):
 
     Attributes:
         coefficient: mu, the limit of the traction over the normal force.
+
+    Example:
+        >>> isinstance(rx.SlidingFriction(0.3, 1e-4), rx.AbstractFriction)
+        True
     """
 
     coefficient: eqx.AbstractVar[Float[Array, ""]]
@@ -150,6 +154,9 @@ class Friction(AbstractFriction):
         coefficient: mu, a number without unit.
         stick_stiffness: k, force per length and displacement [N/m^2]; None: as much as the
             obstacle has against depth. A rod at the limit has moved by mu N/k.
+
+    Example:
+        >>> floor = rx.Obstacle(rx.Plane(), stiffness=1e5, friction=rx.Friction(0.4))
     """
 
     coefficient: Float[Array, ""] = eqx.field(converter=as_float)
@@ -209,6 +216,10 @@ class SlidingFriction(AbstractFriction):
     Attributes:
         coefficient: mu, a number without unit.
         slip_speed: below it surfaces creep [m/s].
+
+    Example:
+        >>> rough = rx.SlidingFriction(0.3, slip_speed=1e-4)
+        >>> contact = rx.Contact.solid(rod, force=10.0, friction=rough)
     """
 
     coefficient: Float[Array, ""] = eqx.field(converter=as_float)

@@ -39,6 +39,9 @@ class HardMagnetic(AbstractLoad):
             [m] and returning (3,) [T]; written with jax.numpy.
         parameters: of the function, any pytree of numbers and arrays, which can be differentiated.
         amplitude: schedule of a number that multiplies B; None for a field that is steady.
+
+    Example:
+        >>> magnet = rx.HardMagnetic(moment=(0.0, 0.0, 2.0), field=(0.0, 0.01, 0.0))
     """
 
     moment: Float[Array, "*n 3"] = eqx.field(converter=as_float)

@@ -19,6 +19,14 @@ class AbstractLoad(AbstractInteraction):
 
     What a rod runs into (a wall, a bed that gets stiff) says by `safe_fraction` how near one
     iteration of Newton's method may come to it, and has the role CONTACT.
+
+    Example:
+        >>> class Tide(rx.AbstractLoad):
+        ...     strength: jax.Array
+        ...     def wrench(self, rod, motion):
+        ...         push = self.strength * jnp.sin(motion.time) * jnp.ones_like(motion.position)
+        ...         return jnp.concatenate([push, jnp.zeros_like(push)], 1)
+        >>> washed = rx.Scene(rod, rx.Clamped(), loads=(Tide(0.1),))
     """
 
     @abc.abstractmethod

@@ -59,6 +59,9 @@ class Gravity(AbstractLoad):
         acceleration: g, three inertial components [m/s^2]; downwards along z (0, 0, -9.81).
         fluid_density: rho_f of the fluid around [kg/m^3]; None for no buoyancy. Needs the rod's
             `area`, and of lumps takes the `volume`.
+
+    Example:
+        >>> in_water = rx.Gravity((0, 0, -9.81), fluid_density=1025.0)
     """
 
     acceleration: Float[Array, "3"] = eqx.field(converter=as_float)
@@ -129,6 +132,9 @@ class MorisonDrag(AbstractLoad):
         current: velocity of the fluid, three inertial components [m/s]; None for still fluid.
         added_mass_coefficient: C_a, a number without unit (1 for a circular cylinder); None for
             no added mass. Needs the rod's `area`.
+
+    Example:
+        >>> stream = rx.MorisonDrag(1025.0, 1.2, 0.01, current=(0.5, 0, 0))
     """
 
     fluid_density: Float[Array, ""] = eqx.field(converter=as_float)
@@ -198,6 +204,9 @@ class LinearDrag(AbstractLoad):
     Attributes:
         normal, tangential: c_n and c_t, force per length and velocity [N s/m^2].
         rotational: c_r, moment per length and spin about the tangent [N s].
+
+    Example:
+        >>> viscous = rx.LinearDrag(normal=0.2, tangential=0.1, rotational=1e-6)
     """
 
     normal: Float[Array, ""] = eqx.field(converter=as_float)
@@ -239,6 +248,11 @@ class DistributedLoad(AbstractLoad):
             with jax.numpy.
         parameters: any pytree of numbers and arrays, which can be differentiated and change
             without a new compilation (the function cannot: pass the same).
+
+    Example:
+        >>> def wind(p, s, time):  # force per length, inertial axes
+        ...     return p * jnp.stack([0 * s, s, 0 * s], -1)
+        >>> blown = rx.DistributedLoad(wind, 0.1)
     """
 
     function: Callable = eqx.field(static=True)
@@ -266,6 +280,9 @@ class PointLoad(AbstractLoad):
         force: schedule of three components [N], along inertial axes, of a follower body axes.
         moment: schedule of three components [N m], about the same axes as the force.
         follower: whether force and moment turn with the cross-section of the node.
+
+    Example:
+        >>> thrust = rx.PointLoad(-1, force=rx.Constant((0.0, 0.0, -5.0)), follower=True)
     """
 
     node: Int[Array, ""] = eqx.field(converter=as_node)

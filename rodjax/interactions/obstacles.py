@@ -119,6 +119,10 @@ class Obstacle(AbstractLoad):
         displacement: schedule of three inertial components by which it is moved [m]; None: it
             rests. The velocity counts in damping and friction.
         memory, dual: set by the equations of a step, see `recalling` and `AbstractFriction.dual`.
+
+    Example:
+        >>> seabed = rx.Obstacle(rx.Plane(point=(0, 0, -1)), stiffness=1e5, relaxation=1e-3)
+        >>> laid = rx.Scene(rod, rx.Clamped(), loads=(rx.Gravity((0, 0, -9.81)), seabed))
     """
 
     shape: AbstractShape

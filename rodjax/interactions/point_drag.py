@@ -36,6 +36,9 @@ class PointDrag(AbstractLoad):
             there [m]; None for none.
         rod: which of the rods of the scene, from 0.
         body: which of the scene's bodies, from 0; None for a rod. Node and rod then say nothing.
+
+    Example:
+        >>> float_drag = rx.PointDrag(-1, quadratic=4.0)  # 4 |v| v on the last node
     """
 
     node: int = eqx.field(static=True, default=0)

@@ -14,6 +14,10 @@ class Role(enum.Enum):
         DAMPING: lost otherwise, `damping_loss`.
         CONTACT: with what the rod touches, `contact_work`: its potential is `contact_energy`, what
             it exerts beyond its wrench on a resting rod `contact_loss`.
+
+    Example:
+        >>> rx.Gravity((0, 0, -9.81)).role
+        <Role.STORED: 'stored'>
     """
 
     DRIVEN = "driven"

@@ -25,7 +25,12 @@ from rodjax.interactions import surfaces
 
 
 class AbstractShape(eqx.Module):
-    """Surface of an obstacle, where that is at first; your own is a subclass with `distance`."""
+    """Surface of an obstacle, where that is at first; your own is a subclass with `distance`.
+
+    Example:
+        >>> isinstance(rx.Plane(), rx.AbstractShape)
+        True
+    """
 
     @abc.abstractmethod
     def distance(self, point: Float[Array, "3"]) -> Float[Array, ""]:
@@ -82,6 +87,9 @@ class Plane(AbstractShape):
     Attributes:
         point: any of its points, inertial components [m].
         normal: of any length.
+
+    Example:
+        >>> slope = rx.Plane(point=(0, 0, -1), normal=(0.1, 0, 1))
     """
 
     point: Float[Array, "3"] = eqx.field(converter=as_float, default=(0.0, 0.0, 0.0))
@@ -109,6 +117,9 @@ class Sphere(AbstractShape):
         centre: inertial components [m].
         radius: [m].
         inside: whether a rod is inside it.
+
+    Example:
+        >>> ball = rx.Obstacle(rx.Sphere(centre=(0.5, 0, -0.3), radius=0.1), stiffness=1e5)
     """
 
     centre: Float[Array, "3"] = eqx.field(converter=as_float)
@@ -137,6 +148,9 @@ class Cylinder(AbstractShape):
         axis: its direction, of any length.
         radius: [m].
         inside: whether a rod is inside it.
+
+    Example:
+        >>> pipe = rx.Cylinder(point=(0, 0, 0), axis=(1, 0, 0), radius=0.05, inside=True)
     """
 
     point: Float[Array, "3"] = eqx.field(converter=as_float)
@@ -172,6 +186,11 @@ class HeightField(AbstractShape):
         heights: z of the ground, rows along x, columns along y, at least two each [m].
         origin: x and y of the first row and column [m].
         spacing: of rows and of columns [m].
+
+    Example:
+        >>> x = np.linspace(0, 1, 20)
+        >>> heights = 0.05 * np.outer(np.sin(6 * x), np.ones(20)) - 1
+        >>> hills = rx.HeightField(heights, spacing=(0.05, 0.05))
     """
 
     heights: Float[Array, "i j"] = eqx.field(converter=as_float)
@@ -234,6 +253,11 @@ class SignedDistance(AbstractShape):
             differentiable there (round edges off).
         parameters: any pytree of numbers and arrays, which can be differentiated and change
             without a new compilation (the function cannot: pass the same).
+
+    Example:
+        >>> def bowl(radius, point):
+        ...     return radius - jnp.sqrt(jnp.sum(point**2) + 1e-12)
+        >>> inside = rx.Obstacle(rx.SignedDistance(bowl, 2.0), stiffness=1e5)
     """
 
     function: Callable = eqx.field(static=True)

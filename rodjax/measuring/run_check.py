@@ -73,6 +73,10 @@ def check(scene: Scene, run: Run, method: GeneralizedAlpha | None = None) -> Fin
     of the motion's mean frequency; the energy ledger; the spacing of contact points where contact
     pushes most and, of a law that only fades, its tail beyond the cut-off; and whether the state at
     the end, where it is one of rest, is stable. It compiles the measures that it needs.
+
+    Example:
+        >>> findings = rx.check(scene, run)
+        >>> print(findings)  # doctest: +SKIP
     """
     method = GeneralizedAlpha() if method is None else method
     good = bool(np.all(np.isfinite(np.asarray(run.states.position))))

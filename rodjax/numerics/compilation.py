@@ -52,6 +52,11 @@ def jit(function):
 
     Returns:
         The function, compiled at the first call with new shapes, types or static leaves.
+
+    Example:
+        >>> advance = rx.jit(lambda state: rx.step(scene, state, state.time + 0.01)[0])
+        >>> float(advance(rx.start(scene)).time)
+        0.01
     """
 
     @functools.cache

@@ -36,6 +36,9 @@ def keep_compiled(folder: str | os.PathLike | None = None) -> str:
     Raises:
         ValueError: `folder` is no path.
         OSError: the folder cannot be made.
+
+    Example:
+        >>> folder = rx.keep_compiled()  # doctest: +SKIP
     """
     if folder is not None and not isinstance(folder, str | os.PathLike):
         raise ValueError(

@@ -9,7 +9,14 @@ from jaxtyping import Array, Int
 
 
 class Result(enum.IntEnum):
-    """Why a computation ended; the larger code wins when several are joined."""
+    """Why a computation ended; the larger code wins when several are joined.
+
+    Example:
+        >>> print(rx.Result(int(run.result)).name)
+        SUCCESS
+        >>> print(rx.Result.DRIVE_TOO_FAST)  # what it means and what to do  # doctest: +ELLIPSIS
+        DRIVE_TOO_FAST (...): ...
+    """
 
     SUCCESS = 0
     STEP_TOO_SMALL = 1
@@ -97,11 +104,24 @@ MESSAGES = {
 
 
 class ModelWarning(UserWarning):
-    """A result that solves the equations given, but perhaps not the problem that was meant."""
+    """A result that solves the equations given, but perhaps not the problem that was meant.
+
+    Example:
+        >>> import warnings
+        >>> warnings.simplefilter("error", rx.ModelWarning)  # doctest: +SKIP
+    """
 
 
 class SimulationError(RuntimeError):
-    """A run that failed, with its `result` and, where there is one, what it had computed."""
+    """A run that failed, with its `result` and, where there is one, what it had computed.
+
+    Example:
+        >>> try:
+        ...     rx.adaptive_rollout(scene, rx.start(scene), 1.0, max_steps=3)
+        ... except rx.SimulationError as error:
+        ...     print(error.result.name, len(error.partial.times))
+        MAX_STEPS 4
+    """
 
     def __init__(self, result: Result, where: str = "", partial=None):
         self.result = Result(result)
@@ -114,6 +134,12 @@ class Interrupted(KeyboardInterrupt):
 
     Still a KeyboardInterrupt, whatever `throw` says: scripts end by it, and no `except Exception`
     holds it.
+
+    Example:
+        >>> try:
+        ...     run = rx.rollout(scene, rx.start(scene), np.linspace(0.02, 0.2, 10))
+        ... except rx.Interrupted as stopped:
+        ...     run = stopped.partial  # all steps up to Ctrl-C
     """
 
     def __init__(self, where: str = "", partial=None):

@@ -74,6 +74,11 @@ def straight_rod(
         actuation: schedule of what is added to kappa0 in time, as tendons, pneumatics or swelling
             do: three components, or a row an element (n, 3) [1/m].
         jumps: arc lengths at which properties jump [m]; they become nodes.
+
+    Example:
+        >>> rod = rx.straight_rod(2.0, 40, section, direction=(1, 0, 0), origin=(0, 0, 5))
+        >>> rod.position[-1]
+        Array([2., 0., 5.], dtype=float64)
     """
     nodes = grid(length, elements, jumps)
     tangent = direction_of(direction, "direction")
@@ -115,6 +120,12 @@ def curved_rod(
 
     The nodes are put at distances ds along the frames, R_{i+1} = R_i + ds a_3, so the discrete
     rod starts exactly unstretched; it follows the curve to second order in ds.
+
+    Example:
+        >>> helix = lambda s: jnp.stack([0.1 * jnp.cos(8 * s), 0.1 * jnp.sin(8 * s), 0.6 * s], -1)
+        >>> coil = rx.curved_rod(helix, 1.0, 40, section)
+        >>> coil.natural_curvature.shape  # it is at rest as it is placed
+        (40, 3)
     """
     check_flag(stress_free=stress_free)
     if callable(curve) and not isinstance(curve, type):

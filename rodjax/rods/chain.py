@@ -252,6 +252,11 @@ def states_of(state: State) -> tuple[State, ...]:
 
     Args:
         state: of one rod or of several, or with bodies.
+
+    Example:
+        >>> (only,) = rx.states_of(run.final)
+        >>> only.position.shape
+        (21, 3)
     """
     if not state.breaks:
         return (state,)

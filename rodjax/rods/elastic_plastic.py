@@ -38,6 +38,12 @@ class ElasticPlastic(AbstractMaterial):
         yield_moment: M_y of bending in any direction [N m]; a number, or one an element (n,).
         hardening: H >= 0, moment per plastic curvature [N m^2]; tangent stiffness beyond yield is
             A H / (A + H).
+
+    Example:
+        >>> wire = rx.circular_section(
+        ...     1e-3, 2e11, 8e10, 7800.0, material=rx.ElasticPlastic(yield_moment=0.04)
+        ... )
+        >>> paperclip = rx.straight_rod(0.1, 20, wire)
     """
 
     yield_moment: Float[Array, "*n"] = eqx.field(converter=as_float)

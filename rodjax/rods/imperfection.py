@@ -52,6 +52,11 @@ def imperfect(
 
     Raises:
         ValueError: a size is negative, or `modes` does not fit the grid.
+
+    Example:
+        >>> crooked = rx.imperfect(rod, 1e-3, seed=1)
+        >>> bool(jnp.any(crooked.natural_curvature != rod.natural_curvature))
+        True
     """
     name, size = ("fraction", fraction) if amplitude is None else ("amplitude", amplitude)
     check_instance(Rod, "give a rod, of straight_rod or curved_rod", rod=rod)

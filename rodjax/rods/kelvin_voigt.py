@@ -31,6 +31,10 @@ class KelvinVoigt(AbstractMaterial):
         stretch: of stretch and shear, where the rod is compliant [s]: f = (g + T g') / compliance
             with the strain g; None leaves them undamped.
         elastic: the law besides; by default linear with the section's stiffness.
+
+    Example:
+        >>> silicone = rx.circular_section(0.01, 4e5, 1.3e5, 1070.0, material=rx.KelvinVoigt(0.01))
+        >>> arm = rx.straight_rod(0.2, 20, silicone)
     """
 
     bending: Float[Array, "*n"] = eqx.field(converter=as_float)

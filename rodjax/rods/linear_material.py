@@ -4,7 +4,11 @@ from rodjax.rods.material import AbstractMaterial
 
 
 class LinearMaterial(AbstractMaterial):
-    """q = B (kappa - kappa0) with the section's stiffness: what a rod without material has."""
+    """q = B (kappa - kappa0) with the section's stiffness: what a rod without material has.
+
+    Example:
+        >>> damped = rx.KelvinVoigt(0.01, elastic=rx.LinearMaterial())
+    """
 
     def moment(self, at):
         return at.linear(at.bent)

@@ -48,6 +48,10 @@ class Lump(eqx.Module):
         volume: that it displaces [m^3], for the buoyancy of `Gravity`, which acts at the centre of
             mass; None for no buoyancy.
         rod: which of the rods of the scene, from 0.
+
+    Example:
+        >>> weight = rx.Lump(-1, 0.4, inertia=(2e-3, 2e-3, 1e-3))
+        >>> loaded = rx.Scene(rod, rx.Clamped(), lumps=(weight,))
     """
 
     node: int = eqx.field(static=True)

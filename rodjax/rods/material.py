@@ -25,6 +25,11 @@ class ElementMotion(NamedTuple):
         time: [s].
         memory: what the material remembers of the last accepted step; None where it forgets, or
             for a look at it without a past.
+
+    Example:
+        >>> class Soft(rx.AbstractMaterial):
+        ...     def moment(self, at):  # `at` is an ElementMotion
+        ...         return at.stiffness * jnp.tanh(at.bent)
     """
 
     arc_length: Float[Array, " n"]
@@ -77,6 +82,14 @@ class AbstractMaterial(eqx.Module):
 
     Both are given all elements at once and must treat each by its own row (`ElementMotion`);
     written with jax.numpy. The derivative is taken by jax unless `slopes` gives it.
+
+    Example:
+        >>> class Cubic(rx.AbstractMaterial):
+        ...     def moment(self, at):
+        ...         return at.stiffness * at.bent * (1 + at.bent**2)
+        ...     def energy(self, at):
+        ...         return at.stiffness * at.bent**2 * (0.5 + 0.25 * at.bent**2)
+        >>> hard = rx.straight_rod(1.0, 10, rx.Section((1.0, 1.0, 0.8), mass=1.0, material=Cubic()))
     """
 
     @abc.abstractmethod

@@ -43,6 +43,11 @@ def regrid(state: State, rod: Rod, *, old: Rod | None = None) -> State:
         ValueError: the rods are not of one length; the state is not one, or not of `old`; an
             element of the new grid would turn by more than 0.9 of a revolution, or the line
             would move by more than half an element (checked outside traced code).
+
+    Example:
+        >>> fine = rx.straight_rod(1.0, 40, section)
+        >>> rx.regrid(run.final, fine).position.shape
+        (41, 3)
     """
     check_instance(State, "give a state, such as `run.final`", state=state)
     check_instance(Rod, "give the rod on its new grid", rod=rod)

@@ -50,6 +50,10 @@ def ring(
             straight, whose circle has the energy 2 pi^2 A/L and, by Michell and by Zajac,
             leaves its plane beyond sqrt(3) A/C turns.
         stress_free: whether it is at rest as it is placed (then kappa0 is its curvature here).
+
+    Example:
+        >>> loop = rx.ring(1.0, 40, section, turns=2)
+        >>> closed = rx.Scene(loop, joints=(rx.Weld(rx.Point(0), rx.Point(-1)),))
     """
     check_flag(stress_free=stress_free)
     check_integer(3, 100_000, elements=elements)

@@ -106,6 +106,11 @@ class Rod(eqx.Module):
             node between two of them, or behind the last, is a body by itself (`with_bodies`).
         lumps: masses and rigid bodies that are fixed to its nodes, a tuple of `Lump`; a scene is
             given them by themselves, `Scene(rod, lumps=...)`.
+
+    Example:
+        >>> rod.elements, float(rod.length.sum())
+        (20, 1.0)
+        >>> stiffer = dataclasses.replace(rod, stiffness=2 * rod.stiffness)
     """
 
     position: Float[Array, "nodes 3"] = eqx.field(converter=as_float)

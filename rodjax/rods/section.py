@@ -65,6 +65,11 @@ class Section(eqx.Module):
             without compliance).
         material: how elements resist, such as `KelvinVoigt` or an `AbstractMaterial` of your own;
             None for a linear rod.
+
+    Example:
+        >>> ribbon = rx.Section(stiffness=(2e-3, 2e-5, 1e-4), mass=0.02)
+        >>> rx.straight_rod(1.0, 10, ribbon).stiffness.shape
+        (10, 3)
     """
 
     stiffness: Three
@@ -217,6 +222,11 @@ def circular_section(
 
     Returns a function of the arc lengths of the element centres, for the builders of rods.
     Source: Table 1 of Goyal, Perkins & Lee.
+
+    Example:
+        >>> rubber = rx.circular_section(0.01, 1.2e6, 0.4e6, density=1100.0)
+        >>> float(rx.straight_rod(1.0, 10, rubber).stiffness[0, 0])  # E pi D^4/64
+        0.0005890486225480862
     """
     check_flag(rotary_inertia=rotary_inertia, extensible=extensible)
     check_property(diameter=diameter)

@@ -43,6 +43,11 @@ class State(eqx.Module):
         joints: of each joint of the scene the force (inertial) and moment that it exerts on its
             first point [N, N m], see `constraints.joints`; None without joints.
         breaks: of several rods the elements that are none, see `Rod.breaks` and `states_of`.
+
+    Example:
+        >>> state = run.final
+        >>> state.position.shape, state.rate.shape, state.force.shape
+        ((21, 3), (21, 6), (20, 3))
     """
 
     time: Float[Array, ""]

@@ -33,6 +33,11 @@ class Body(eqx.Module):
         quaternion: of its frame as it is placed, real part first, body to inertial.
         volume: that it displaces [m^3], for the buoyancy of `Gravity`; None for no buoyancy.
         end: what holds and moves it, about its centre of mass, as an end of a rod is held.
+
+    Example:
+        >>> fish = rx.Body(1.5, inertia=(0.02, 0.02, 0.01), position=(1.1, 0, 0))
+        >>> eye = rx.Ball(rx.Point(-1), rx.Point(body=0, offset=(-0.1, 0, 0)))
+        >>> towed = rx.Scene(rod, rx.Pinned(), bodies=(fish,), joints=(eye,))
     """
 
     mass: Float[Array, ""] = eqx.field(converter=as_float)

@@ -16,6 +16,10 @@ def placing(scene: Scene, time: Number | Float[Array, ""] = 0.0) -> State:
     Args:
         scene: whose rod it is.
         time: of the state [s].
+
+    Example:
+        >>> rx.placing(scene).position[-1]
+        Array([1., 0., 0.], dtype=float64)
     """
     check_scene(scene)
     check_scalar(time=time)

@@ -73,6 +73,10 @@ class Scene(eqx.Module):
         inner_ends: of several rods, the last end of the first, the first of the second, and so on;
             then what holds each of the bodies.
         joints: what joins points of rods and bodies, a tuple of `Weld`, `Ball`, `Hinge`, `Slide`.
+
+    Example:
+        >>> scene = rx.Scene(rod, rx.Clamped(), loads=(rx.Gravity((0, 0, -9.81)),))
+        >>> start = rx.start(scene)
     """
 
     rod: Rod

@@ -34,8 +34,6 @@ def animate(
 ) -> Path:
     """Write a run as a moving picture of the looks of `view`, beside curves that grow with time.
 
-        rx.animate(scene, run, "run.gif", curves={"kinetic": ledger.kinetic})
-
     A frame takes about half a second to draw.
 
     Args:
@@ -54,6 +52,12 @@ def animate(
     Raises:
         ValueError: scene, run, measures and curves do not fit each other, there is nothing to show,
             or the file cannot be of this kind here.
+
+    Example:
+        >>> ledger = rx.energy.ledger(scene, run)
+        >>> film = rx.animate(scene, run, "run.gif", curves={"kinetic": ledger.kinetic}, frames=3)
+        >>> film.name
+        'run.gif'
     """
     from matplotlib.animation import FFMpegWriter, PillowWriter
     from matplotlib.figure import Figure

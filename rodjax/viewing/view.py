@@ -37,6 +37,10 @@ class RunView:
         page: the whole page, as HTML.
         title: its heading.
         frames: how many states it holds.
+
+    Example:
+        >>> shown = rx.view(scene, run)
+        >>> shown.save("run.html")  # doctest: +SKIP
     """
 
     def __init__(self, page: str, title: str, frames: int):
@@ -78,10 +82,6 @@ def view(
 ) -> RunView:
     """Look at a run in three dimensions: turn it, let it play, colour it by any measure.
 
-        rx.view(scene, run)  # in a notebook
-        rx.view(scene, run).save("run.html")  # one file, which works offline
-        rx.view("run.h5")  # a file of `storage.save` or of a recorder
-
     Tubes are of the rods' own diameters, or so many times as thick as the page says; the black
     stripe follows the director a_1 and shows twist. Held nodes are plates (on a rail where they may
     slide), pinned ones balls; bodies are boxes of their moments of inertia, lumps without these
@@ -107,6 +107,11 @@ def view(
 
     Raises:
         ValueError: scene, run and measures do not fit each other, or there is no such measure.
+
+    Example:
+        >>> shown = rx.view(scene, run)  # at the end of a cell of a notebook it is shown
+        >>> shown.save("run.html")  # one file, which works offline  # doctest: +SKIP
+        >>> rx.view("run.h5")  # a file of `storage.save` or of a recorder  # doctest: +SKIP
     """
     check_scalar(seconds=seconds, **given(magnify=magnify))
     check_positive(seconds=seconds, **given(magnify=magnify))
