@@ -18,7 +18,7 @@ extensions = [
     "sphinx.ext.autodoc",
     "sphinx.ext.viewcode",
     "sphinx_copybutton",
-    "native_mathml",
+    "sphinx-mathjax-offline",  # equations need no network
     "plain_docstrings",
     "percent_notebooks",
 ]
