@@ -146,7 +146,7 @@ if TYPE_CHECKING:
     from rodjax.viewing.view import RunView as RunView
     from rodjax.viewing.view import view as view
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"
 
 # where the public modules are
 _FOLDERS = {

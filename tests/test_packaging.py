@@ -13,7 +13,7 @@ import pytest
 import rodjax
 
 ROOT = Path(__file__).parents[1]
-VERSION = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["version"]
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
 
 RUN_COMMAND = (
     "python3 -m venv .venv && .venv/bin/pip install . && .venv/bin/python experiments/intertwine.py"
@@ -49,8 +49,10 @@ def test_import_has_no_side_effect():
 
 
 def test_version_is_the_same_everywhere():
-    assert rodjax.__version__ == VERSION
-    assert f"\nversion: {VERSION}\n" in (ROOT / "CITATION.cff").read_text()
+    assert "version" in PROJECT["dynamic"]  # read from the package
+    version = rodjax.__version__
+    assert f"\nversion: {version}\n" in (ROOT / "CITATION.cff").read_text()
+    assert f"\n## [{version}] - 20" in (ROOT / "CHANGELOG.md").read_text()
 
 
 def test_public_names_are_sorted():
@@ -68,3 +70,11 @@ def test_readme_gives_exactly_two_commands():
     # .ci/run takes the second of them from the README.
     readme = (ROOT / "README.md").read_text()
     assert re.findall(r"python3 -m venv[^`\n]*", readme) == [RUN_COMMAND, TEST_COMMAND]
+
+
+def test_base_depends_on_what_the_package_imports_alone():
+    source = "\n".join(p.read_text() for p in (ROOT / "rodjax").rglob("*.py"))
+    needed = [re.split(r"[^\w-]", line)[0] for line in PROJECT["dependencies"]]
+    assert len(needed) > 5
+    idle = [name for name in needed if not re.search(rf"^\s*(from|import) {name}\b", source, re.M)]
+    assert idle == []

@@ -2,14 +2,16 @@
 
 import fnmatch
 import os
+import re
 import subprocess
 import sys
 import tarfile
-import tomllib
 import zipfile
 from pathlib import Path
 
 import pytest
+
+import rodjax
 
 ROOT = Path(__file__).parents[1]
 PICTURES = "docs/*.png"
@@ -152,11 +154,20 @@ def test_wheel_is_typed_and_holds_the_library_alone(tmp_path):
         metadata = archive.read(next(n for n in names if n.endswith("/METADATA"))).decode()
     assert "rodjax/py.typed" in names
     tops = {name.partition("/")[0] for name in names}
-    version = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["version"]
-    assert tops == {"rodjax", f"rodjax-{version}.dist-info"}
+    assert tops == {"rodjax", f"rodjax-{rodjax.__version__}.dist-info"}
     page = {f"rodjax/viewing/page.{kind}" for kind in ("html", "css", "js")}
     assert page <= set(names)
     own = {name for name in names if name.startswith("rodjax/")} - page
     assert all(name.endswith((".py", "py.typed")) for name in own)
     url = next(line for line in metadata.splitlines() if line.startswith("Project-URL: Paper"))
     assert url.split(", ")[1] in (ROOT / "CITATION.cff").read_text()
+
+
+def test_page_on_the_index_links_to_what_is_there(tmp_path):
+    with zipfile.ZipFile(_build("wheel", tmp_path)) as archive:
+        names = archive.namelist()
+        metadata = archive.read(next(n for n in names if n.endswith("/METADATA"))).decode()
+    assert "# rodjax" in metadata
+    targets = re.findall(r"\]\(([^)]+)\)", metadata)
+    assert [target for target in targets if not target.startswith("https://")] == []
+    assert "```mermaid" not in metadata
