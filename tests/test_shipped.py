@@ -14,7 +14,7 @@ import pytest
 import rodjax
 
 ROOT = Path(__file__).parents[1]
-PICTURES = "docs/*.png"
+PICTURES = {"docs/*.png": b"\x89PNG", "docs/*.gif": b"GIF89a"}
 PICTURE_BYTES = 2**20
 
 
@@ -69,7 +69,10 @@ def _foreign(root: Path, names: list[str]) -> list[str]:
     found = []
     for name in names:
         content = (root / name).read_bytes()
-        picture = fnmatch.fnmatch(name, PICTURES) and content.startswith(b"\x89PNG")
+        picture = any(
+            fnmatch.fnmatch(name, pattern) and content.startswith(magic)
+            for pattern, magic in PICTURES.items()
+        )
         if not (picture and len(content) <= PICTURE_BYTES) and not _is_text(content):
             found.append(name)
     return found
