@@ -7,6 +7,8 @@ from pathlib import Path
 
 import pytest
 
+import rodjax as rx
+
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = sorted(
     page
@@ -47,3 +49,17 @@ def test_page_runs_as_pasted(page, tmp_path):
             check=False,
         )
         assert run.returncode == 0, run.stderr[-3000:]
+
+
+def test_every_public_name_has_its_place_in_the_reference():
+    pages = "\n".join(page.read_text(encoding="utf-8") for page in (ROOT / "docs/api").glob("*.md"))
+    listed = re.findall(r"^\.\. auto\w+:: rodjax\.(\w+)$", pages, re.MULTILINE)
+    assert sorted(listed) == sorted(rx.__all__)
+
+
+def test_every_page_and_notebook_is_in_the_contents():
+    contents = (ROOT / "docs/index.md").read_text(encoding="utf-8")
+    pages = {page.stem for page in (ROOT / "docs").glob("*.md")} - {"index"}
+    books = {f"notebooks/{page.stem}" for page in (ROOT / "notebooks").glob("*.py")}
+    listed = set(re.findall(r"^([\w/]+)$", contents, re.MULTILINE)) - {"api/index"}
+    assert listed == pages | books

@@ -64,10 +64,6 @@ def picture(
 ) -> "Figure":
     """A figure of a run by name, or of several names one below the other.
 
-        rx.picture(scene, run)  # shapes
-        rx.picture(scene, run, "energies")
-        rx.picture(scene, run, "shapes", "curvature", "energies").savefig("run.png")
-
     - "shapes": a few states, seen from the side, with obstacles and holds; coloured by the strain
       energy density, the stripe along a_1.
     - "energies": what `rx.energy.ledger` accounts for, without what is nothing.
@@ -97,6 +93,11 @@ def picture(
 
     Raises:
         ValueError: there is no picture of this name; scene, run and measures do not fit each other.
+
+    Example:
+        >>> figure = rx.picture(scene, run, "curvature")  # over arc length and time
+        >>> both = rx.picture(scene, run, "shapes", "tension")
+        >>> both.savefig("run.png")  # doctest: +SKIP
     """
     from matplotlib.figure import Figure
 
