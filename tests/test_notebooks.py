@@ -19,9 +19,11 @@ PICTURES = {
     "first_rod": 3,
     "hockle": 2,
     "intertwining": 3,
+    "neural_law": 2,
     "own_data": 3,
     "sensitivity": 3,
     "sweep_map": 2,
+    "tweezers": 1,
 }
 
 
