@@ -48,8 +48,6 @@ python_maximum_signature_line_length = 88
 # looks
 html_theme = "furo"
 html_title = f"rodjax {release}"
-html_static_path = ["_static"]
-html_css_files = ["site.css"]
 html_theme_options = {"navigation_with_keys": True}
 copybutton_prompt_text = r">>> |\.\.\. |\$ "
 copybutton_prompt_is_regexp = True
