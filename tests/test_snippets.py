@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 import rodjax as rx
+from rodjax.numerics.results import MESSAGES
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = sorted(
@@ -63,3 +64,12 @@ def test_every_page_and_notebook_is_in_the_contents():
     books = {f"notebooks/{page.stem}" for page in (ROOT / "notebooks").glob("*.py")}
     listed = set(re.findall(r"^([\w/]+)$", contents, re.MULTILINE)) - {"api/index"}
     assert listed == pages | books
+
+
+def test_messages_that_the_questions_quote_are_those_of_the_library():
+    page = (ROOT / "docs/questions.md").read_text(encoding="utf-8")
+    quoted = re.findall(r"^\*\*\"([^\"]+)\".*\(`(\w+)`\)$", page, re.MULTILINE)
+    assert len(quoted) >= 3
+    for words, name in quoted:
+        assert words.replace("...", "") in MESSAGES[rx.Result[name]]
+    assert all(name in rx.Result.__members__ for name in re.findall(r"`([A-Z]+_[A-Z_]+)`", page))
