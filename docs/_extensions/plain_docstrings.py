@@ -17,7 +17,7 @@ _HEADINGS = {
     "Example": "Example",
 }
 _SECTION = re.compile(rf"({'|'.join(_HEADINGS)}):")
-_ENTRY = re.compile(r"    ([*\w][*\w., ]*): (.*)")
+_ENTRY = re.compile(r"    ([*\w.]+(?:, [*\w.]+)*): (.*)")
 
 
 def _escaped(line: str) -> str:
