@@ -160,7 +160,7 @@ for path in sorted(folder.glob("*")):
 data = rx.to_xarray(scene, run)
 print(data.curvature.dims, data.curvature.attrs)
 figure = Figure(figsize=(8, 3.5), layout="constrained")
-data.curvature.plot(ax=figure.subplots(), x="s_element")
+data.curvature.plot(ax=figure.subplots(), x="s_element", y="time")
 figure
 
 # %% [markdown]
