@@ -38,6 +38,7 @@ nb_execution_mode = "cache"
 nb_execution_timeout = 900
 nb_execution_raise_on_error = True
 nb_merge_streams = True
+nb_output_stderr = "remove"  # lines of progress
 
 # signatures and docstrings
 autodoc_member_order = "bysource"

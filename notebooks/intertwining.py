@@ -31,8 +31,8 @@ import numpy as np
 
 import rodjax
 
+kept = rodjax.keep_compiled()  # programs, for the next time that this notebook runs
 jax.config.update("jax_enable_x64", True)  # contact and inextensibility need double precision
-rodjax.keep_compiled()  # programs, for the next time that this notebook runs
 
 # %% [markdown]
 # ## The rod
