@@ -1,4 +1,7 @@
-"""What README and docs show runs when pasted, page by page."""
+"""What README and docs show runs when pasted, page by page.
+
+Blocks marked ```py are read beside what a command wrote, and do not run by themselves.
+"""
 
 import re
 import subprocess
