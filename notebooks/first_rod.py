@@ -67,8 +67,7 @@ run = rx.simulate(scene, 20.0, control=rx.StepControl(max_step=0.03))
 # %%
 print(run)
 print(rod)
-print(scene.first_end)
-print(run.final)
+print(scene)
 
 # %% [markdown]
 # ## To look at

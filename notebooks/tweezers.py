@@ -36,6 +36,7 @@ import rodjax as rx
 
 rx.keep_compiled()  # programs, for the next time that this notebook runs
 jax.config.update("jax_enable_x64", True)  # contact and inextensibility need double precision
+names = rx.units.use(rx.units.Units("nm", "s", "pN s^2/nm", "pN"))  # what pictures say
 
 # %% [markdown]
 # ## The molecule
