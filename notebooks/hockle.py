@@ -22,8 +22,6 @@
 
 # %%
 # %matplotlib inline
-import dataclasses
-
 import jax
 import numpy as np
 from matplotlib.figure import Figure
@@ -80,8 +78,13 @@ bed = rx.Obstacle(
 )
 water = rx.MorisonDrag(1025.0, normal_coefficient=1.2, tangential_coefficient=0.02)
 gravity = rx.Gravity((0, 0, -weight / mass))  # less buoyancy
-contact = rx.Contact.solid(rod, force=300.0, indentation=0.1, relaxation=1e-3)
-contact = dataclasses.replace(contact, capacities=(64,))  # few strands touch: compile for these
+contact = rx.Contact.solid(
+    rod,
+    force=300.0,
+    indentation=0.1,
+    relaxation=1e-3,
+    capacities=(64,),  # few strands touch: compile for these
+)
 
 
 def scene_of(turns):

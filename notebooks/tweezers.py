@@ -187,8 +187,7 @@ figure
 #
 # - `force = 1.0`: how do buckling, plateau and slope move? Theory says by $\sqrt F$ at first.
 # - Unwind it again: the last loop stays until fewer turns than it needed to form, a hysteresis.
-# - Shorter chords: `dataclasses.replace(contact, segments=2 * contact.segments,
-#   points_per_segment=4)`.
+# - Shorter chords: `rx.Contact.solid(..., segments=2 * contact.segments)`.
 # - Charges instead of solids: `rx.Contact(rx.DebyeHueckel(strength, screening), ...)`, with the
 #   strength $k_B T\, l_B \nu^2$ and the Debye length of your salt.
 # - `experiments/plectoneme.py` winds a dense plectoneme up against the full theory of the ply.

@@ -92,11 +92,23 @@ def test_thin_part_of_a_taper_counts():
         ({"force": 1.0, "indentation": 0.0}, "^indentation"),
         ({"force": 1.0, "indentation": 0.5}, "^indentation"),
         ({"force": 1.0, "relaxation": -1.0}, "^relaxation"),
+        ({"force": 1.0, "segments": 1}, "^segments"),
+        ({"force": 1.0, "capacities": (64, 8)}, "^capacities"),
     ],
 )
 def test_solid_names_the_argument(arguments, message):
     with pytest.raises(ValueError, match=message):
         rx.Contact.solid(meeting(end=0.0)[0], **arguments)
+
+
+def test_more_segments_keep_the_law_and_its_points():
+    rod, _ = meeting(end=0.0)
+    chosen = rx.Contact.solid(rod, FORCE)
+    more = rx.Contact.solid(rod, FORCE, segments=3 * chosen.segments, capacities=(16,))
+    assert (more.segments, more.capacities) == (3 * chosen.segments, (16,))
+    spacing = lambda contact: 1 / (contact.segments * contact.points_per_segment)
+    assert spacing(more) <= spacing(chosen) * (1 + 1e-12)
+    assert float(more.law.stiffness) == float(chosen.law.stiffness)
 
 
 def test_solid_needs_to_know_the_rod():

@@ -17,6 +17,7 @@ from rodjax.inputs.validation import (
     all_known,
     as_float,
     as_float_or_none,
+    as_integer,
     check_instance,
     check_integer,
     check_positive,
@@ -134,6 +135,8 @@ class Contact(eqx.Module):
         indentation: float = 0.05,
         relaxation: Number | Float[Array, ""] = 0.0,
         friction: AbstractFriction | None = None,
+        segments: int | None = None,
+        capacities: tuple[int, ...] | None = None,
     ) -> "Contact":
         """Contact of solid strands of the rod's diameter D, from the load that it must carry.
 
@@ -144,6 +147,8 @@ class Contact(eqx.Module):
                 other [D], at most 0.2. Less is stiffer, and asks for more points.
             relaxation: damping of the contact, see `Penalty` [s].
             friction: of the strands' surfaces.
+            segments: how many; default: of eight points each.
+            capacities: see `Contact`; where few strands touch one small size compiles faster.
 
         The law is a `Penalty` whose stiffness k follows from the force F between crossing strands
         at d = (1 - indentation) D: with the energy k depth^3/(6 softness D) of its soft beginning,
@@ -157,7 +162,7 @@ class Contact(eqx.Module):
 
         Points are on chords of their segments: strands that wind about each other with a curvature
         kappa are held kappa l^2/6 farther apart, l the length of a segment. Where that counts take
-        more segments of fewer points, `dataclasses.replace(contact, segments=..., ...)`.
+        more `segments`, of fewer points each.
 
         Raises:
             ValueError: an argument is out of its range, or the rod is so long and thin that more
@@ -176,7 +181,10 @@ class Contact(eqx.Module):
         thin, thick = np.min(np.asarray(rod.diameter)), np.max(np.asarray(rod.diameter))
         length = float(np.sum(np.asarray(rod.length)))
         spacing = 0.5 * np.sqrt(indentation * (1 - indentation)) * float(thin)
-        segments = int(np.clip(np.ceil(length / (8 * spacing)), 2, 1500))
+        if segments is None:
+            segments = int(np.clip(np.ceil(length / (8 * spacing)), 2, 1500))
+        segments = as_integer(segments)
+        check_integer(2, 10_000, segments=segments)
         points = int(np.ceil(length / segments / spacing))
         if points > 256:
             raise ValueError(
@@ -186,7 +194,8 @@ class Contact(eqx.Module):
         size = np.pi * (1 - indentation) * indentation**2 * float(thin) ** 3
         law = Penalty(3 * as_float(force) / size, softness=indentation, relaxation=relaxation)
         cutoff = 1.1 * float(thick)
-        return cls(law, segments, cutoff, points_per_segment=points, friction=friction)
+        chosen = {"friction": friction, "capacities": capacities}
+        return cls(law, segments, cutoff, points_per_segment=points, **chosen)
 
     def check(self, rod: Rod) -> None:
         """Raise ValueError where the rod lacks what contact needs."""
