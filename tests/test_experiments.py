@@ -13,7 +13,6 @@ import h5py
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from helpers import slow
 
 from rodjax import storage
 
