@@ -48,6 +48,7 @@ def run(scene, steps, until=1.0, **options):
     return rollout(scene, start(scene), times, throw=False, **options)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("turns", [2.0, -2.0, 4.0, 1.9, 2.3, 1.0, 0.5, -0.5, 20.0])
 def test_turns_of_a_step_are_not_counted_modulo_two(turns):
     """So many turns a step, at an end that is about to have turned four steps."""

@@ -215,6 +215,7 @@ def twist_scene(turns, last=None):
     return Scene(rod, Clamped(rotation=drive), Slider((0, 0, 1)) if last is None else last)
 
 
+@pytest.mark.slow
 def test_driven_end_twists_a_straight_rod_by_its_torque():
     scene = twist_scene(-3.0)
     # three turns are beyond what the straight shaft can bear: it is taken knowingly
@@ -246,6 +247,7 @@ def test_an_equilibrium_stays_where_it_is():
     )
 
 
+@pytest.mark.slow
 def test_a_step_too_long_is_halved():
     scene = cantilever(32, moment=(0.0, 2 * np.pi, 0.0))
     state, info = equilibrium(scene, placing(scene), load_steps=1)

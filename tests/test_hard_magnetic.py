@@ -11,6 +11,7 @@ SECTION = rx.Section((1.0, 1.0, 0.8), mass=1.0, rotary_inertia=(1e-3, 1e-3, 2e-3
 ALONG = (0.0, 0.0, 1.0)
 
 
+@pytest.mark.slow
 def test_a_cantilever_across_a_field_is_the_elastica_of_an_end_load():
     """EI theta'' + m B cos(theta) = 0, as under an end load P = m B: Mattiasson (1981), P L^2 = 5.
 

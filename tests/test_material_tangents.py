@@ -65,7 +65,7 @@ def rod_of(name):
     return straight_rod(1.0, ELEMENTS, SECTIONS[name], actuation=CURLING)
 
 
-QUICK = ("coupled", "cable", "damped", "plastic")
+QUICK = ("coupled", "plastic")
 
 
 @pytest.mark.parametrize("name", [name if name in QUICK else slow(name) for name in SECTIONS])

@@ -280,6 +280,7 @@ def soft():
     return rx.Scene(rx.straight_rod(1.0, N, section), rx.Clamped(), loads=(pull,))
 
 
+@pytest.mark.slow
 def test_a_law_of_the_users_own_bends_as_it_says(soft):
     state, _ = rx.equilibrium(soft, rx.placing(soft), time=0.5, load_steps=2)
     expected = 2.0 * np.arctanh(1.0 / 2.0)

@@ -94,7 +94,7 @@ def test_a_bed_that_stores_and_damps():
 @pytest.mark.parametrize(
     "role, column, sign",
     [
-        (rx.Role.DRAG, "drag_loss", 1),
+        pytest.param(rx.Role.DRAG, "drag_loss", 1, marks=pytest.mark.slow),
         pytest.param(rx.Role.DAMPING, "damping_loss", 1, marks=pytest.mark.slow),
         pytest.param(rx.Role.DRIVEN, "load_work", -1, marks=pytest.mark.slow),
     ],

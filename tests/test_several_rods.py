@@ -37,6 +37,7 @@ def alone(rods):
     return [rx.Scene(rod, first, last, GRAVITY) for rod, first, last in every]
 
 
+@pytest.mark.slow
 def test_each_moves_as_by_itself(system, alone):
     times = jnp.linspace(0.0, 0.1, 11)[1:]
     run = rx.rollout(system, rx.start(system), times)

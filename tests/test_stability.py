@@ -76,6 +76,7 @@ def test_torsional_buckling(necked):
     assert abs(value(FINE) / reference - 1) < 1e-4
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("moment", UNIFORM_FREQUENCY)
 def test_frequency_of_a_twisted_rod(moment):
     def value(n):
@@ -138,6 +139,7 @@ def test_frequency_and_mode_of_a_cantilever():
     np.testing.assert_allclose(found.frequency[1] / found.frequency[0], np.sqrt(2), rtol=1e-9)
 
 
+@pytest.mark.slow
 def test_compliance_zero_is_the_rigid_limit():
     plain, state = column(16, 1.0)
     zero, _ = column(16, 1.0, (0.0, 0.0, 0.0))

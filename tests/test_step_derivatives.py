@@ -113,9 +113,7 @@ def central_difference(function, inputs, step, width):
     return (8 * (at(1) - at(-1)) - (at(2) - at(-2))) / (12 * width)
 
 
-@pytest.mark.parametrize(
-    "name", ["stiffness", *map(slow, sorted(set(Inputs.__dataclass_fields__) - {"stiffness"}))]
-)
+@pytest.mark.parametrize("name", list(map(slow, sorted(Inputs.__dataclass_fields__))))
 def test_reverse_and_forward_against_differences(name):
     step = one_at_a_time(MOVING, name)
     expected = float(central_difference(value, MOVING, step, 2e-3))

@@ -357,6 +357,7 @@ def test_runs_that_overlap_are_not_joined(example):
         continued(whole, shifted)
 
 
+@pytest.mark.slow
 def test_schedule_goes_on_where_it_stopped(example, tmp_path):
     scene, _ = example
     schedule = jnp.linspace(0.0, 0.3, 13)[1:]

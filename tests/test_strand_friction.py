@@ -107,6 +107,7 @@ def test_it_keeps_momentum_and_does_not_feel_rigid_motion():
     np.testing.assert_allclose(found.friction, 0.0, atol=1e-9 * float(found.total))
 
 
+@pytest.mark.slow
 def test_what_it_takes_away_is_its_power():
     """By the wrenches on the nodes, and none of it is put in."""
     scene = crossing(rx.SlidingFriction(FRICTION, 1e-2))
@@ -227,6 +228,7 @@ def test_anchors_are_refused():
         crossing(rx.Friction(0.3))
 
 
+@pytest.mark.slow
 def test_at_rest_there_is_none():
     """Statics leave it out, and with it the unknowns that it couples."""
     scene = sledge(FRICTION)

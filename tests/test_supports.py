@@ -102,7 +102,7 @@ def test_frequencies_of_two_spans():
 @pytest.mark.parametrize(
     "factor, modes, contact",
     [
-        (1.05, 2, False),
+        pytest.param(1.05, 2, False, marks=pytest.mark.slow),
         pytest.param(0.95, 0, False, marks=pytest.mark.slow),
         pytest.param(0.95, 0, True, marks=pytest.mark.slow),
         pytest.param(1.05, 2, True, marks=pytest.mark.slow),
@@ -227,6 +227,7 @@ def test_the_node_is_a_number():
     assert np.all(np.isnan(found[3:]))
 
 
+@pytest.mark.slow
 def test_a_support_that_begins():
     """From its time on the node rests; the energy that this takes is booked."""
     rod, begin = bent(16), 0.1

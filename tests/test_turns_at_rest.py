@@ -41,7 +41,7 @@ def torque(scene, state):
     return found, measures.twist_eq15(scene.rod, state), measures.twist(state)
 
 
-@pytest.mark.parametrize("load_steps", [1, slow(3), 10, slow(13)])
+@pytest.mark.parametrize("load_steps", [slow(1), slow(3), 10, slow(13)])
 @pytest.mark.parametrize(
     "first, last",
     [(0, 20), (-20, 0), (0, -18), (-10, 10), (10, 10), (0, 0.5), (0, 1), (2, 1.5), (0, 15.25)],

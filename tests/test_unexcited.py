@@ -59,6 +59,7 @@ BORNE = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", TOO_MUCH)
 def test_a_run_says_that_nothing_excites_its_modes(name):
     scene, modes = TOO_MUCH[name]
