@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from rodjax.dynamics.run import Run
+from rodjax.exchange.node_columns import part_of_nodes
 from rodjax.files.versions import version
 from rodjax.inputs.units import SI, Units
 from rodjax.inputs.validation import check_flag
@@ -60,9 +61,7 @@ def to_xarray(scene: Scene, run: Run, *, measures: bool = True, units: Units = S
             " that the run is of"
         )
     solid = np.delete(np.arange(rod.elements), list(rod.breaks))
-    rod_of_node = np.concatenate(
-        [np.full(part.last - part.first + 1, i) for i, part in enumerate(rod.parts)]
-    )
+    rod_of_node = part_of_nodes(rod)
     u, rate = units, np.asarray(states.rate)
     per_time = ("time", "node")
     variables: dict[str, Any] = {
