@@ -322,6 +322,16 @@ def test_ladder_in_short_mode(tmp_path):
 
 
 @pytest.mark.slow
+def test_accelerator_in_short_mode(tmp_path):
+    text = _run("accelerator.py", "--quick", "--batches", "1", "--out", str(tmp_path))
+    found = json.loads((tmp_path / "summary.json").read_text())["cpu"]
+    for name in ("without_contact", "nothing_touches", "strands_touch"):
+        assert found[f"{name} x1"]["failed"] == 0 and name in text
+        assert 0 < found[f"{name} x1"]["seconds_of_a_step"] < 1
+    assert 0 < found["empty_loop"]["microseconds"] < found["block_solve"]["microseconds"]
+
+
+@pytest.mark.slow
 def test_ring_in_short_mode(tmp_path):
     text = _run("ring.py", "--quick", "--out", str(tmp_path))
     summary = json.loads((tmp_path / "summary.json").read_text())
