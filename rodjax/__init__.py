@@ -35,12 +35,19 @@ from rodjax.constraints.joints import Slide as Slide
 from rodjax.constraints.joints import Weld as Weld
 from rodjax.constraints.supports import Support as Support
 from rodjax.dynamics.adaptive import adaptive_rollout as adaptive_rollout
+from rodjax.dynamics.bath import Bath as Bath
 from rodjax.dynamics.consistency import start as start
 from rodjax.dynamics.fixed_rollout import rollout as rollout
+from rodjax.dynamics.relaxation import relaxation_times as relaxation_times
 from rodjax.dynamics.run import Run as Run
 from rodjax.dynamics.simulation import simulate as simulate
 from rodjax.dynamics.step_control import StepControl as StepControl
 from rodjax.dynamics.stepping import step as step
+from rodjax.dynamics.thermal_rollout import ThermalRun as ThermalRun
+from rodjax.dynamics.thermal_rollout import thermal_rollout as thermal_rollout
+from rodjax.dynamics.thermal_state import ThermalState as ThermalState
+from rodjax.dynamics.thermal_state import thermal_start as thermal_start
+from rodjax.dynamics.thermal_stepping import thermal_step as thermal_step
 from rodjax.equations.generalized_alpha import GeneralizedAlpha as GeneralizedAlpha
 from rodjax.equilibria.linear_stability import stability as stability
 from rodjax.equilibria.load_path import equilibrium as equilibrium
@@ -80,6 +87,7 @@ from rodjax.interactions.shapes import SignedDistance as SignedDistance
 from rodjax.interactions.shapes import Sphere as Sphere
 from rodjax.measuring.extrapolation import extrapolate as extrapolate
 from rodjax.measuring.run_check import check as check
+from rodjax.numerics.averages import Averages as Averages
 from rodjax.numerics.compilation import jit as jit
 from rodjax.numerics.kept_programs import keep_compiled as keep_compiled
 from rodjax.numerics.results import Interrupted as Interrupted
@@ -102,6 +110,7 @@ from rodjax.rods.rod import Rod as Rod
 from rodjax.rods.section import Section as Section
 from rodjax.rods.section import circular_section as circular_section
 from rodjax.rods.state import State as State
+from rodjax.rods.yielding import yielding as yielding
 from rodjax.scenes.body import Body as Body
 from rodjax.scenes.placing import placing as placing
 from rodjax.scenes.scene import Scene as Scene
@@ -203,8 +212,10 @@ __all__ = [
     "AbstractMaterial",
     "AbstractSchedule",
     "AbstractShape",
+    "Averages",
     "Ball",
     "Barrier",
+    "Bath",
     "Body",
     "Centreline",
     "Clamped",
@@ -272,6 +283,8 @@ __all__ = [
     "StepControl",
     "Support",
     "Switched",
+    "ThermalRun",
+    "ThermalState",
     "Turn",
     "Unbounded",
     "Weld",
@@ -297,6 +310,7 @@ __all__ = [
     "plot",
     "positions_at",
     "regrid",
+    "relaxation_times",
     "ring",
     "rollout",
     "rotations",
@@ -310,6 +324,9 @@ __all__ = [
     "storage",
     "straight_rod",
     "sweep",
+    "thermal_rollout",
+    "thermal_start",
+    "thermal_step",
     "to_csv",
     "to_paraview",
     "to_xarray",
@@ -318,6 +335,7 @@ __all__ = [
     "vibration",
     "view",
     "windows",
+    "yielding",
 ]
 
 

@@ -14,6 +14,7 @@ import rodjax as rx
 # those that compile a program of their own
 LONG = ["adaptive_rollout", "animate", "equilibrium", "jit", "SimulationError", "stability", "step"]
 LONG += ["vibration", "check", "simulate"]
+LONG += ["thermal_rollout", "ThermalRun", "thermal_step", "relaxation_times", "Averages"]
 NAMES = [
     pytest.param(name, marks=pytest.mark.slow) if name in LONG else name
     for name in rx.__all__

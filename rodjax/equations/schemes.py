@@ -1,10 +1,12 @@
 """Schemes: how the motion of the nodes follows from the unknowns of their balance.
 
 The unknown is a change of every node, displacement and rotation vector (n+1, 6), that the scheme
-adds to what it predicts. A step of generalised-alpha is one, rest on a path of loads another.
+adds to what it predicts. A step of generalised-alpha is one, rest on a path of loads another, a
+step without inertia in a heat bath a third (`overdamped`).
 """
 
 import abc
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -20,6 +22,13 @@ from rodjax.rods.state import State
 Change = Float[Array, "nodes 6"]
 Reference = tuple[Float[Array, "nodes 3"], Float[Array, "nodes 4"]]
 Balance = tuple[Float[Array, "nodes 6"], Float[Array, "n 3"]]
+
+
+class HalfStep(NamedTuple):
+    """How the rates of a step without inertia follow its half increment; nothing accelerates."""
+
+    by_velocity: Float[Array, ""]  # 2/dt [1/s]
+    by_acceleration: Float[Array, ""]  # 0
 
 
 class AbstractScheme(eqx.Module):
@@ -42,7 +51,7 @@ class AbstractScheme(eqx.Module):
         """Their rates and accelerations; None at rest."""
 
     @abc.abstractmethod
-    def slopes(self) -> Coefficients | None:
+    def slopes(self) -> Coefficients | HalfStep | None:
         """What holds the derivatives of rates and accelerations by increments; None at rest."""
 
     @abc.abstractmethod
@@ -56,6 +65,10 @@ class AbstractScheme(eqx.Module):
     @abc.abstractmethod
     def lever(self, rod: Rod) -> int:
         """How many element lengths of displacement Newton's tolerance takes for a radian."""
+
+    @abc.abstractmethod
+    def exact_constraint(self) -> bool:
+        """Whether the elements' constraint is to be kept beyond Newton's tolerance."""
 
     @abc.abstractmethod
     def completed(self, change: Change, wrench: Change, constraint: Float[Array, "n 3"]) -> Balance:
@@ -104,6 +117,9 @@ class Step(AbstractScheme):
 
     def lever(self, rod):
         return 1
+
+    def exact_constraint(self):
+        return True
 
     def completed(self, change, wrench, constraint):
         return wrench, constraint
@@ -160,6 +176,9 @@ class AtRest(AbstractScheme):
 
     def lever(self, rod):
         return rod.elements
+
+    def exact_constraint(self):
+        return True
 
     def completed(self, change, wrench, constraint):
         lacking = self.lacking

@@ -42,6 +42,7 @@ class Result(enum.IntEnum):
     DRIVE_MISSED = 13  # only of runs in which nothing failed
     HELD_TWICE = 14
     OBSTACLE_PASSED = 15
+    DIFFUSED_TOO_FAR = 16
 
 
 MESSAGES = {
@@ -67,6 +68,11 @@ MESSAGES = {
     Result.OBSTACLE_PASSED: (
         "a node went through an obstacle in one step, or half a diameter into it; use smaller steps"
         " (the adaptive rollout takes them by itself), or a stiffer obstacle"
+    ),
+    Result.DIFFUSED_TOO_FAR: (
+        "in one step of a thermal rod a node moved farther than half of the contact's cut-off, so"
+        " that strands can cross unseen; use a smaller dt (the free motion of a node in a step is"
+        " sqrt(2 kT dt / drag)), or a longer cut-off"
     ),
     Result.INTERRUPTED: "stopped by the user; what was computed until then is kept",
     Result.DRIVE_MISSED: (

@@ -1,0 +1,47 @@
+"""The drag of the nodes on their own motion: linear, local, and what noise needs of it."""
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from rodjax.interactions.load import total_wrench
+from rodjax.rods.inertia import node_jacobian
+from rodjax.rods.state import NodeMotion
+from rodjax.scenes.scene import Scene
+
+
+def node_drag(scene: Scene, motion: NodeMotion) -> Float[Array, "nodes 6 6"]:
+    """Z: minus the derivative of the loads by the rates of the nodes, of nodes at rest.
+
+    Forces and velocities in inertial axes, moments and spins in body axes [N s/m, N s, N m s].
+    Where nothing resists the turning of a section across its tangent (no drag along a rod does) it
+    gets c ds^2/4, c the node's drag and ds the longer element beside it: no mode is without
+    noise, and in shear a section turns at the fastest rate at which nodes move. (A rigid segment
+    has c ds^2/12. Either matters at wavelengths of an element alone.)
+    """
+    zero = jnp.zeros((scene.rod.elements + 1, 6), motion.position.dtype)
+
+    def resisting(rate):
+        moving = motion._replace(velocity=rate[:, :3], angular_velocity=rate[:, 3:])
+        return -total_wrench(scene.loads, scene.rod, moving)
+
+    matrix = node_jacobian(resisting, zero)
+    length = scene.rod.length
+    longer = jnp.maximum(jnp.pad(length, (0, 1)), jnp.pad(length, (1, 0)))
+    across = jnp.trace(matrix[:, :3, :3], axis1=1, axis2=2) / 3 * longer**2 / 4
+    own = jnp.diagonal(matrix, axis1=1, axis2=2)[:, 3:5]
+    lacking = jnp.where(own > 0, 0.0, across[:, None])
+    sides = jnp.arange(3, 5)
+    return matrix.at[:, sides, sides].add(lacking)
+
+
+def excess_drag(scene: Scene, motion: NodeMotion, rate: Float[Array, "nodes 6"]) -> Array:
+    """What the loads exert at these rates beyond what they do at rest and beyond -Z times these."""
+    wrench = lambda rate: total_wrench(
+        scene.loads,
+        scene.rod,
+        motion._replace(velocity=rate[:, :3], angular_velocity=rate[:, 3:]),
+    )
+    still = jnp.zeros_like(rate)
+    _, along = jax.jvp(wrench, (still,), (rate,))
+    return wrench(rate) - wrench(still) - along
