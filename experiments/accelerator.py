@@ -197,8 +197,9 @@ def kernels(program, arguments) -> dict[str, Any]:
             if line.name.startswith("Stream")
             for event in line.events
         ]
-    copies = [one for one in events if "memcpy" in one[0].lower() or "memset" in one[0].lower()]
-    launched = [one for one in events if one not in set(copies)]
+    copying = lambda name: "memcpy" in name.lower() or "memset" in name.lower()
+    copies = [one for one in events if copying(one[0])]
+    launched = [one for one in events if not copying(one[0])]
     by_name: dict[str, list] = {}
     for name, took in launched:
         tally = by_name.setdefault(name[:60], [0, 0.0])
