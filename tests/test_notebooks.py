@@ -24,6 +24,7 @@ PICTURES = {
     "own_data": 3,
     "sensitivity": 3,
     "sweep_map": 2,
+    "thermal_rod": 1,
     "tweezers": 1,
 }
 

@@ -1,19 +1,20 @@
-"""Rollouts of rods in a heat bath by `lax.scan`, with averages on the way."""
+"""Rollouts of rods in a heat bath with averages on the way."""
 
 import dataclasses
 from collections.abc import Callable
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import lax
 from jaxtyping import Array, Float, Int
 
 from rodjax.dynamics.bath import Bath, check_thermal
 from rodjax.dynamics.run import Run
-from rodjax.dynamics.stepping import no_info
+from rodjax.dynamics.stepping import StepInfo, no_info
 from rodjax.dynamics.thermal_state import ThermalState
 from rodjax.dynamics.thermal_stepping import thermal_step
 from rodjax.equations.overlap import check_apart
@@ -32,6 +33,7 @@ from rodjax.numerics.averages import Averages
 from rodjax.numerics.compilation import compiled
 from rodjax.numerics.failure import not_a_number
 from rodjax.numerics.results import Result, as_code
+from rodjax.rods.state import State
 from rodjax.scenes.arguments import check_motion
 from rodjax.scenes.scene import Scene
 
@@ -76,10 +78,13 @@ def thermal_rollout(
     averages: Averages | None = None,
     throw: bool = True,
 ) -> ThermalRun:
-    """Steps of a rod in a heat bath, by `lax.scan`.
+    """Steps of a rod in a heat bath, with averages over them.
 
-    Under `vmap` over starts (of `thermal_start` with a key each) it is a run of replicas. The
-    number of steps is compiled in: for a long run call it again with what it returns.
+    Under `vmap` over starts (of `thermal_start` with a key each) it is a run of replicas. Outside
+    traced code one program serves any number of steps, and a run that goes on from the `final` of
+    another is that which never stopped, bit for bit; in traced code numbers of steps are compiled
+    in. Derivatives of traced runs are those of a path with its noise held, in forward and reverse
+    mode; they are not those of averages where paths part fast.
 
     Args:
         scene: what moves; it must stretch and shear (`yielding`), and its loads have linear drag.
@@ -109,20 +114,34 @@ def thermal_rollout(
         ((3,), 10)
     """
     _check(scene, start, bath, dt, steps, save_every, measure, measure_every)
-    save_every = steps if save_every is None else save_every
     if measure is not None and averages is None:
         averages = Averages.of(jax.eval_shape(measure, start.state))
     dt = jnp.asarray(dt, start.state.position.dtype)
-    found = _rollout(
-        scene, start, bath, dt, steps // save_every, save_every, measure, measure_every, averages
-    )
+    plan = _Plan.of(steps, save_every, measure_every if measure is not None else None)
+    known = all_known(scene, start, bath, dt, averages, jnp.zeros(()) + 0)
+    found = (_by_blocks if known else _scanned)(scene, start, bath, dt, plan, measure, averages)
     if not throw:
         return found
-    if all_known(scene, found.result, jnp.zeros(()) + 0):
+    if known:
         results.raise_if_failed(found.result, partial=found)
         return found
     message = "a step failed; call with throw=False and look at `result`"
     return eqx.error_if(found, found.result != Result.SUCCESS, message)
+
+
+class _Plan(NamedTuple):
+    """Numbers of steps between looks, of looks between saved states, and of these."""
+
+    saves: int
+    looks: int
+    steps_a_look: int
+
+    @classmethod
+    def of(cls, steps: int, save_every: int | None, measure_every: int | None) -> "_Plan":
+        """What the arguments say."""
+        block = steps if save_every is None else save_every
+        look = block if measure_every is None else measure_every
+        return cls(steps // block, block // look, look)
 
 
 def _check(scene, start, bath, dt, steps, save_every, measure, measure_every) -> None:
@@ -149,52 +168,119 @@ def _check(scene, start, bath, dt, steps, save_every, measure, measure_every) ->
         scene.check_until(float(start.state.time) + steps * float(dt))
 
 
-@compiled
-def _rollout(scene, start, bath, dt, saves, save_every, measure, measure_every, averages):
-    def one(carry, _):
-        before, failed, most, farthest = carry
-        # after a failure no iterations are made
-        left = jnp.where(failed == Result.SUCCESS, bath.max_iterations, 0)
-        after, info = thermal_step(
-            scene, before, dataclasses.replace(bath, max_iterations=left), dt
-        )
-        good = failed == Result.SUCCESS
-        code = jnp.where(good, info.result, failed)
-        stays = lambda new, old: jnp.where(code == Result.SUCCESS, new, old)
-        state = jax.tree.map(stays, after.state, before.state)
-        most = jnp.maximum(most, info.iterations)
-        farthest = jnp.maximum(farthest, jnp.where(good, info.moved, 0.0))
-        return (ThermalState(state, after.key, after.white), code, most, farthest), None
+class _Moving(NamedTuple):
+    """What is carried from step to step."""
 
+    thermal: ThermalState
+    code: Int[Array, ""]  # of the first step that failed
+    iterations: Int[Array, ""]  # most of a step since the last saved state
+    moved: Float[Array, ""]  # farthest of a node in a step since then
+
+    @classmethod
+    def from_saved(cls, thermal: ThermalState, code: Int[Array, ""]) -> "_Moving":
+        """At a saved state."""
+        zero = jnp.zeros_like(thermal.state.time)
+        return cls(thermal, code, jnp.asarray(0, jnp.int32), zero)
+
+    @property
+    def seen(self) -> State:
+        """The state, which is no number after a failure."""
+        return not_a_number(self.thermal.state, self.code != Result.SUCCESS)
+
+    @property
+    def info(self) -> StepInfo:
+        """What is told of the steps since the last saved state."""
+        return no_info(self.moved.dtype)._replace(
+            result=self.code, iterations=self.iterations, growth_position=self.moved
+        )
+
+
+def _stepped(scene: Scene, bath: Bath, dt, moving: _Moving) -> _Moving:
+    """After one more step, or as it was if one has failed."""
+    before, good = moving.thermal, moving.code == Result.SUCCESS
+    # after a failure no iterations are made
+    limited = dataclasses.replace(bath, max_iterations=jnp.where(good, bath.max_iterations, 0))
+    after, info = thermal_step(scene, before, limited, dt)
+    code = jnp.where(good, info.result, moving.code)
+    stays = lambda new, old: jnp.where(code == Result.SUCCESS, new, old)
+    state = jax.tree.map(stays, after.state, before.state)
+    return _Moving(
+        ThermalState(state, after.key, after.white),
+        code,
+        jnp.maximum(moving.iterations, info.iterations),
+        jnp.maximum(moving.moved, jnp.where(good, info.moved, 0.0)),
+    )
+
+
+def _by_scans(scene, start, bath, dt, plan: "_Plan", measure, averages) -> ThermalRun:
+    """The run as gradients pass through it, its numbers of steps compiled in."""
     # the reverse pass takes Newton's solutions from the forward pass and recomputes the rest
     keep = jax.checkpoint_policies.save_only_these_names(newton.SOLUTION)
     again = partial(jax.checkpoint, policy=keep, prevent_cse=False)
 
+    @again
+    def one(moving, _):
+        return _stepped(scene, bath, dt, moving), None
+
     def look(carry, _):
-        (moving, averages), length = carry, save_every if measure is None else measure_every
-        moving, _ = lax.scan(again(one), moving, length=length)
+        moving, averages = carry
+        moving, _ = lax.scan(one, moving, length=plan.steps_a_look)
         if measure is not None:
-            seen = measure(not_a_number(moving[0].state, moving[1] != Result.SUCCESS))
-            averages = averages.added(seen)
+            averages = averages.added(measure(moving.seen))
         return (moving, averages), None
 
     @again
     def block(carry, _):
-        (start, code, averages) = carry
-        zero = jnp.asarray(0, jnp.int32)
-        begun = ((start, code, zero, jnp.zeros((), dt.dtype)), averages)
-        length = 1 if measure is None else save_every // measure_every
-        (moving, averages), _ = lax.scan(look, begun, length=length)
-        moved, code, most, farthest = moving
-        state = not_a_number(moved.state, code != Result.SUCCESS)
-        info = no_info(dt.dtype)._replace(result=code, iterations=most, growth_position=farthest)
-        return (moved, code, averages), (state, info)
+        moving, averages = carry
+        begun = _Moving.from_saved(moving.thermal, moving.code)
+        (moving, averages), _ = lax.scan(look, (begun, averages), length=plan.looks)
+        return (moving, averages), (moving.seen, moving.info)
 
-    begun = (start, as_code(Result.SUCCESS), averages)
-    (final, code, averages), (saved, infos) = lax.scan(block, begun, length=saves)
+    begun = _Moving.from_saved(start, as_code(Result.SUCCESS))
+    (moving, averages), saved = lax.scan(block, (begun, averages), length=plan.saves)
+    return _gathered(start, saved, moving, averages)
+
+
+_scanned = compiled(_by_scans)
+
+
+@compiled
+def _block(scene, moving: _Moving, bath, dt, looks, steps_a_look, measure, averages):
+    """The steps to the next saved state, any number of them by one program.
+
+    The loops have no known length: XLA makes other programs of loops of one pass, whose rounding
+    differs.
+    """
+
+    def look(_, carry):
+        moving, averages = carry
+        one = lambda _, moving: _stepped(scene, bath, dt, moving)
+        moving = lax.fori_loop(0, steps_a_look, one, moving)
+        if measure is not None:
+            averages = averages.added(measure(moving.seen))
+        return moving, averages
+
+    begun = _Moving.from_saved(moving.thermal, moving.code), averages
+    return lax.fori_loop(0, looks, look, begun)
+
+
+def _by_blocks(scene, start, bath, dt, plan: "_Plan", measure, averages) -> ThermalRun:
+    """The run outside traced code, one call for each saved state."""
+    moving, saved = _Moving.from_saved(start, as_code(Result.SUCCESS)), []
+    count = lambda number: jnp.asarray(number, jnp.int32)
+    looks, steps = count(plan.looks), count(plan.steps_a_look)
+    for _ in range(plan.saves):
+        moving, averages = _block(scene, moving, bath, dt, looks, steps, measure, averages)
+        saved.append(jax.tree.map(np.asarray, (moving.seen, moving.info)))
+    stacked = jax.tree.map(lambda *leaves: jnp.asarray(np.stack(leaves)), *saved)
+    return _gathered(start, stacked, moving, averages)
+
+
+def _gathered(start: ThermalState, saved, moving: _Moving, averages) -> ThermalRun:
+    """A run of its saved states."""
+    states, infos = saved
     first = start.state
-    states = jax.tree.map(lambda one, rest: jnp.concatenate([one[None], rest]), first, saved)
-    zero = jnp.asarray(0, jnp.int32)
-    ended = not_a_number(final.state, code != Result.SUCCESS)
-    final = dataclasses.replace(final, state=ended)
-    return ThermalRun(Run(states, infos, code, zero, zero), final, averages, code)
+    states = jax.tree.map(lambda one, rest: jnp.concatenate([one[None], rest]), first, states)
+    none = jnp.asarray(0, jnp.int32)
+    final = dataclasses.replace(moving.thermal, state=moving.seen)
+    return ThermalRun(Run(states, infos, moving.code, none, none), final, averages, moving.code)

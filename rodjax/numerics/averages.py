@@ -27,11 +27,12 @@ class Averages(eqx.Module):
     """Mean, variance, error and memory of a stream of numbers, updated by one after the other.
 
     A pure pytree of the size of a few dozen numbers: it can be carried through `lax.scan`, and
-    mapped by `vmap`. Begun by `Averages.of`, gone on with by `added`.
+    mapped by `vmap`; of stacked ones, as `vmap` returns them, mean, variance, error and memory are
+    those of each. Begun by `Averages.of`, gone on with by `added`.
 
     Attributes:
         count: how many numbers of each component it has been given.
-        partial: sums of the blocks that are not finished, (levels, ...) for every leaf.
+        partial: sums of the blocks that are not finished, (..., levels) for every leaf.
         means: of the finished blocks' means.
         squares: sums of the squares of their deviations.
 
@@ -56,7 +57,7 @@ class Averages(eqx.Module):
             value: a pytree of floating point arrays, whose numbers are of no account.
             levels: of blocks; 2^levels numbers are looked through.
         """
-        empty = lambda leaf: jnp.zeros((levels, *jnp.shape(leaf)), jnp.result_type(leaf))
+        empty = lambda leaf: jnp.zeros((*jnp.shape(leaf), levels), jnp.result_type(leaf))
         zeros = jax.tree.map(empty, value)
         return cls(jnp.asarray(0, jnp.int32), zeros, zeros, zeros)
 
@@ -77,13 +78,17 @@ class Averages(eqx.Module):
     @property
     def mean(self) -> Any:
         """Mean of all values."""
-        return jax.tree.map(lambda leaf: leaf[0], self.means)
+        return jax.tree.map(lambda leaf: leaf[..., 0], self.means)
 
     @property
     def variance(self) -> Any:
         """Variance of the values (not of their mean)."""
-        spare = jnp.maximum(self.count - 1, 1)
-        return jax.tree.map(lambda leaf: leaf[0] / spare.astype(leaf.dtype), self.squares)
+
+        def one(leaf):
+            spare = jnp.maximum(_counts(self.count, leaf)[..., 0] - 1, 1)
+            return leaf[..., 0] / spare.astype(leaf.dtype)
+
+        return jax.tree.map(one, self.squares)
 
     @property
     def error(self) -> Any:
@@ -98,7 +103,7 @@ class Averages(eqx.Module):
         """
 
         def one(leaf):
-            plain = _squared_errors(self.count, leaf)[0]
+            plain = _squared_errors(self.count, leaf)[..., 0]
             return 0.5 * _squared_error(self.count, leaf) / jnp.where(plain > 0, plain, 1.0)
 
         return jax.tree.map(one, self.squares)
@@ -108,37 +113,39 @@ class Averages(eqx.Module):
 
         The error is that of the replicas' scatter, which needs no look at their memory.
         """
-        means = jax.vmap(lambda one: one.mean)(self)
-        count = self.count.shape[0]
+        count, means = self.count.shape[0], self.mean
         mean = jax.tree.map(lambda leaf: jnp.mean(leaf, 0), means)
         error = jax.tree.map(lambda leaf: jnp.std(leaf, 0, ddof=1) / np.sqrt(count), means)
         return mean, error
 
 
-def _over(numbers, leaf):
-    """Numbers a level beside a leaf with that axis first."""
-    return numbers.reshape((-1,) + (1,) * (leaf.ndim - 1))
+def _levels(leaf):
+    return jnp.arange(leaf.shape[-1], dtype=jnp.int32)
+
+
+def _counts(count, leaf):
+    """Numbers of finished blocks of every level, beside a leaf."""
+    wide = count.reshape(count.shape + (1,) * (leaf.ndim - count.ndim))
+    return jnp.right_shift(wide, _levels(leaf).reshape((1,) * (leaf.ndim - 1) + (-1,)))
 
 
 def _added(count, value, partial, means, squares):
     """One leaf with one more value."""
     dtype = partial.dtype
-    level = jnp.arange(partial.shape[0], dtype=jnp.int32)
-    size = jnp.left_shift(jnp.asarray(1, jnp.int32), level)
-    ends = _over(count % size == 0, partial)
-    blocks = _over(jnp.maximum(count // size, 1), partial).astype(dtype)
-    partial = partial + jnp.asarray(value, dtype)[None]
-    block = partial / _over(size, partial).astype(dtype)
+    size = jnp.left_shift(jnp.asarray(1, jnp.int32), _levels(partial))
+    over = lambda numbers: numbers.reshape((1,) * (partial.ndim - 1) + (-1,))
+    ends = over(count % size == 0)
+    partial = partial + jnp.asarray(value, dtype)[..., None]
+    block = partial / over(size).astype(dtype)
     off = block - means
-    new = means + off / blocks
+    new = means + off / over(jnp.maximum(count // size, 1)).astype(dtype)
     squares = jnp.where(ends, squares + off * (block - new), squares)
     return jnp.where(ends, 0.0, partial), jnp.where(ends, new, means), squares
 
 
 def _squared_errors(count, squares):
     """s_l^2/n_l of every level; nothing of levels that have no two blocks."""
-    level = jnp.arange(squares.shape[0], dtype=jnp.int32)
-    blocks = _over(jnp.right_shift(count, level), squares)
+    blocks = _counts(count, squares)
     number = jnp.maximum(blocks, 2).astype(squares.dtype)
     return jnp.where(blocks > 1, squares / (number * (number - 1)), jnp.nan)
 
@@ -146,15 +153,15 @@ def _squared_errors(count, squares):
 def _squared_error(count, squares):
     """Squared error of the mean at the level that is long enough."""
     errors = _squared_errors(count, squares)
-    plain = jnp.where(errors[0] > 0, errors[0], 1.0)
-    grown = jnp.nan_to_num(errors / plain[None])
-    level = np.arange(squares.shape[0])
-    cubed = _over(jnp.asarray(8.0**level, squares.dtype), squares)
-    enough = cubed > 2 * count.astype(squares.dtype) * grown**2
-    blocks = jnp.right_shift(count, jnp.asarray(level, jnp.int32))
-    asked = _over(blocks >= _FEWEST, squares)
-    first = jnp.argmax(enough & asked, 0)
+    plain = errors[..., :1]
+    grown = jnp.nan_to_num(errors / jnp.where(plain > 0, plain, 1.0))
+    cubed = 8.0 ** _levels(squares).astype(squares.dtype)
+    cubed = cubed.reshape((1,) * (squares.ndim - 1) + (-1,))
+    blocks = _counts(count, squares)
+    asked = blocks >= _FEWEST
+    enough = asked & (cubed > 2 * blocks[..., :1].astype(squares.dtype) * grown**2)
     # short streams: the longest blocks that may be asked
-    last = jnp.maximum(jnp.sum(blocks >= _FEWEST) - 1, 0)
-    index = jnp.where(jnp.any(enough & asked, 0), first, last)
-    return jnp.take_along_axis(errors, index[None], 0)[0]
+    last = jnp.maximum(jnp.sum(asked, -1) - 1, 0)
+    index = jnp.where(jnp.any(enough, -1), jnp.argmax(enough, -1), last)
+    index = jnp.broadcast_to(index, squares.shape[:-1])[..., None]
+    return jnp.take_along_axis(errors, index, -1)[..., 0]
