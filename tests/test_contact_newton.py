@@ -10,7 +10,7 @@ import pytest
 from helpers import LAWS, slow
 
 from rodjax.dynamics.stepping import step
-from rodjax.equations import coupling
+from rodjax.equations import coupling, dense_elimination
 from rodjax.equations.equations import step_equations
 from rodjax.interactions import contact_capacities, screening
 from rodjax.interactions.contact import Contact
@@ -74,6 +74,27 @@ def test_a_strip_is_solved_as_a_dense_system(bent, monkeypatch):
     np.testing.assert_allclose(product, b, atol=1e-11)
     for one, other in zip(found, expected, strict=True):
         np.testing.assert_allclose(one, other, rtol=1e-9, atol=1e-11)
+
+
+@pytest.mark.parametrize("bent", [14], indirect=True)
+@pytest.mark.parametrize("width", [3, 6])
+def test_pairs_are_summed_at_nodes_as_by_way_of_vertices(bent, width, monkeypatch):
+    """Of a grid coarser than the segments, for any number of pairs in use and any capacity."""
+    scene, _, (sites, pairs) = bent
+    values = np.random.default_rng(3).normal(size=(len(pairs.first), 4, 4, width, width))
+    assert int(pairs.count) > dense_elimination._TOGETHER
+    nothing = jnp.zeros((15, 9, width))
+    (whole,) = contact_capacities.capacities(scene.contact, 14)
+    for count in (int(pairs.count), 1, 0):
+        derivative = jnp.asarray(np.where(np.arange(len(values)) < count, values.T, 0.0).T)
+        few = pairs._replace(count=jnp.asarray(count, jnp.int32))
+        pushed = coupling.Coupling(sites, few, derivative, nothing, nothing, (whole,))
+        found = []
+        for most in (0, 10_000):
+            monkeypatch.setattr(dense_elimination, "_FEW", most)
+            found.append(jax.jit(lambda one: dense_elimination._derivative(one, whole))(pushed))
+        np.testing.assert_allclose(found[0], found[1], atol=1e-12)
+        assert bool(jnp.any(found[0] != 0)) == (count > 0)
 
 
 @pytest.mark.slow

@@ -14,7 +14,7 @@ from jaxtyping import Array, Float
 from rodjax.equations.assembly import Scales
 from rodjax.interactions.contact import Contact
 from rodjax.interactions.contact_capacities import Capacity, capacities
-from rodjax.interactions.contact_forces import forces_and_derivative, gather, rates_of
+from rodjax.interactions.contact_forces import forces_and_derivative, rates_of
 from rodjax.interactions.pair_points import vertices_of
 from rodjax.interactions.screening import NearPairs
 from rodjax.interactions.self_contact import FoundContact, on_nodes
@@ -58,11 +58,11 @@ class Coupling(eqx.Module):
         """L K R^T b, pair by pair."""
         return self.push(interpolate(self.sites, jnp.einsum("jrk,jr->jk", self.right, b)))
 
-    def push(self, moved: Float[Array, "j w"]) -> Float[Array, "nodes 9"]:
-        """L K times displacements of the vertices, pair by pair."""
-        index = jnp.stack(vertices_of(self.pairs), 1)
-        force = jnp.einsum("qijkl,qjl->qik", self.derivative, moved[index])
-        force = gather(self.pairs, force, moved.shape[0])
+    def push(self, moved: Float[Array, "j w"], most: int | None = None) -> Float[Array, "nodes 9"]:
+        """L K times displacements of the vertices, pair by pair, of so many pairs at most."""
+        index = jnp.stack(vertices_of(self.pairs), 1)[:most]
+        force = jnp.einsum("qijkl,qjl->qik", self.derivative[:most], moved[index])
+        force = jnp.zeros_like(moved).at[index].add(force)
         return jnp.einsum("jrk,jk->jr", self.left, spread(self.sites, force, len(self.left)))
 
 

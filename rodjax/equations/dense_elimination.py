@@ -18,8 +18,12 @@ from rodjax.equations.coupling import Coupling
 from rodjax.interactions.contact_capacities import Capacity
 from rodjax.interactions.pair_points import vertices_of
 from rodjax.interactions.sites import interpolate
+from rodjax.numerics.batching import largest
 from rodjax.numerics.block_tridiagonal import BlockTridiagonal, Factors
 from rodjax.numerics.signs import determinant_signs, negative_in_all
+
+# Vertices up to which their matrix is made first, and pairs that are added to it at once.
+_FEW, _TOGETHER = 64, 16
 
 
 class DenseElimination(eqx.Module):
@@ -51,7 +55,8 @@ class DenseElimination(eqx.Module):
             right = lax.linalg.triangular_solve(
                 self.lu, right, left_side=True, lower=lower, unit_diagonal=lower
             )
-        pushed = self.coupling.push(_vertices(self.coupling, right[:, 0], self.capacity))
+        moved = _vertices(self.coupling, right[:, 0], self.capacity)
+        pushed = self.coupling.push(moved, self.capacity.pairs)
         return free - self.factors.solve(pushed[:, :, None])[:, :, 0]
 
     def sign(self, blocks: BlockTridiagonal) -> Float[Array, ""]:
@@ -110,16 +115,55 @@ def _rows(coupling: Coupling, capacity: Capacity) -> Float[Array, "nodes w k"]:
 
 def _derivative(coupling: Coupling, capacity: Capacity) -> Float[Array, "m w k"]:
     """Forces on the vertices in contact, or on their nodes, by displacements of these."""
+    pairs, width = coupling.pairs, coupling.width
+    if pairs.nodes is None:
+        blocks = _between_vertices(coupling, capacity)
+    elif capacity.vertices > _FEW and jax.default_backend() == "cpu":
+        blocks = _between_nodes(coupling, capacity)
+    else:
+        blocks = _between_vertices(coupling, capacity)
+        weight = _weights(coupling, capacity.vertices)[pairs.nodes[: capacity.nodes]]
+        blocks = jnp.einsum("na,abij,mb->nmij", weight, blocks, weight)
+    return jnp.swapaxes(blocks, 1, 2).reshape(-1, width, width * blocks.shape[0])
+
+
+def _between_vertices(coupling: Coupling, capacity: Capacity) -> Float[Array, "v v w w"]:
+    """Sum of the pairs' derivatives, by the vertices in contact."""
     pairs, size, width = coupling.pairs, capacity.vertices, coupling.width
     rank = jnp.stack([pairs.rank[vertex[: capacity.pairs]] for vertex in vertices_of(pairs)], 1)
     # scattered by whole blocks, which is faster than by numbers
     blocks = jnp.zeros((size, size, width, width), coupling.derivative.dtype)
     index = (rank[:, :, None], rank[:, None, :])
-    blocks = blocks.at[index].add(coupling.derivative[: capacity.pairs], mode="drop")
-    if pairs.nodes is not None:
-        weight = _weights(coupling, size)[pairs.nodes[: capacity.nodes]]
-        blocks = jnp.einsum("na,abij,mb->nmij", weight, blocks, weight)
-    return jnp.swapaxes(blocks, 1, 2).reshape(-1, width, width * blocks.shape[0])
+    return blocks.at[index].add(coupling.derivative[: capacity.pairs], mode="drop")
+
+
+def _between_nodes(coupling: Coupling, capacity: Capacity) -> Float[Array, "n n w w"]:
+    """The same by the nodes between which the vertices lie, at a cost that goes with the pairs.
+
+    Of vertices in the hundreds the sum by vertices would be a large and nearly empty matrix, whose
+    products with the weights cost more than all else of an elimination.
+    """
+    sites, pairs, width = coupling.sites, coupling.pairs, coupling.width
+    nodes = len(coupling.left)
+    rank = jnp.zeros_like(pairs.nodes).at[pairs.nodes].set(jnp.arange(nodes, dtype=jnp.int32))
+    seat, weight = rank[sites.nodes], sites.weight
+    room = capacity.pairs
+
+    def added(part, blocks):
+        listed = part * _TOGETHER + jnp.arange(_TOGETHER, dtype=jnp.int32)
+        at = jnp.minimum(listed, room - 1)
+        vertex = jnp.stack([index[at] for index in vertices_of(pairs)], 1)
+        # of nodes without weight nothing is added, though they may have no place
+        used = (listed < pairs.count)[:, None, None]
+        own, by = jnp.where(used, weight[vertex], 0.0), weight[vertex]
+        share = own[:, :, None, :, None] * by[:, None, :, None, :]
+        values = share[..., None, None] * coupling.derivative[at][:, :, :, None, None]
+        row, column = seat[vertex][:, :, None, :, None], seat[vertex][:, None, :, None, :]
+        return blocks.at[row, column].add(values, mode="drop")
+
+    blocks = jnp.zeros((capacity.points, capacity.points, width, width), weight.dtype)
+    count = jnp.minimum(largest(pairs.count), room)
+    return lax.fori_loop(0, (count + _TOGETHER - 1) // _TOGETHER, added, blocks)
 
 
 def _on_nodes(
