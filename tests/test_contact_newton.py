@@ -88,7 +88,8 @@ def test_pairs_are_summed_at_nodes_as_by_way_of_vertices(bent, width, monkeypatc
     for count in (int(pairs.count), 1, 0):
         derivative = jnp.asarray(np.where(np.arange(len(values)) < count, values.T, 0.0).T)
         few = pairs._replace(count=jnp.asarray(count, jnp.int32))
-        pushed = coupling.Coupling(sites, few, derivative, nothing, nothing, (whole,))
+        one = jnp.ones(width)
+        pushed = coupling.Coupling(sites, few, derivative, (one, one), nothing, nothing, (whole,))
         found = []
         for most in (0, 10_000):
             monkeypatch.setattr(dense_elimination, "_FEW", most)

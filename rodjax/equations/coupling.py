@@ -29,7 +29,10 @@ class Coupling(eqx.Module):
 
     sites: Sites
     pairs: NearPairs
-    derivative: Float[Array, "q 4 4 w w"]  # of minus the force by the vertices, scaled
+    derivative: Float[Array, "q 4 4 w w"]  # of minus the force by the vertices
+    # its scales, of the components of a force and of a displacement: applied to sums and not to the
+    # list, which is as long as all that might touch
+    units: tuple[Float[Array, " w"], Float[Array, " w"]]
     left: Float[Array, "nodes 9 w"]  # where a force on a node enters its block row
     right: Float[Array, "nodes 9 w"]  # where a node's displacement stands in its block column
     capacities: tuple[Capacity, ...] = eqx.field(static=True)  # sizes with a solver
@@ -47,7 +50,9 @@ class Coupling(eqx.Module):
     def transpose(self) -> "Coupling":
         """The coupling of the transposed matrix."""
         swapped = jnp.transpose(self.derivative, (0, 2, 1, 4, 3))
-        return Coupling(self.sites, self.pairs, swapped, self.right, self.left, self.capacities)
+        return dataclasses.replace(
+            self, derivative=swapped, units=self.units[::-1], left=self.right, right=self.left
+        )
 
     def symmetric(self) -> "Coupling":
         """The symmetric part, of a rod that nothing holds."""
@@ -61,8 +66,11 @@ class Coupling(eqx.Module):
     def push(self, moved: Float[Array, "j w"], most: int | None = None) -> Float[Array, "nodes 9"]:
         """L K times displacements of the vertices, pair by pair, of so many pairs at most."""
         index = jnp.stack(vertices_of(self.pairs), 1)[:most]
-        force = jnp.einsum("qijkl,qjl->qik", self.derivative[:most], moved[index])
-        force = jnp.zeros_like(moved).at[index].add(force)
+        of_force, of_motion = self.units
+        force = jnp.einsum(
+            "qijkl,qjl->qik", self.derivative[:most], (moved * of_motion[None])[index]
+        )
+        force = jnp.zeros_like(moved).at[index].add(force) * of_force[None]
         return jnp.einsum("jrk,jk->jr", self.left, spread(self.sites, force, len(self.left)))
 
 
@@ -118,19 +126,19 @@ def couple(
     between = forces_and_derivative(contact, sites, pairs, vertices, rates, by_velocity)
     assert between.derivative is not None
     count = len(motion.position)
-    derivative = scales.length / scales.force * between.derivative
+    units = jnp.ones((contact.width,), still.dtype)
     axes, spins = None, None
     if contact.friction is not None:
         assert following is not None
         units = jnp.repeat(jnp.stack([jnp.ones_like(scales.length), 1 / scales.length]), 3)
-        derivative = derivative * (units[:, None] * units[None, :])[None, None, None]
         axes, spins = _turned(motion, following)
     left = _balances(projectors, nodes, count, axes)
     right = jnp.broadcast_to(jnp.eye(9, 3, dtype=left.dtype)[None], (count, 9, 3))
     if spins is not None:
         right = jnp.concatenate([right, spins], 2)
     at = capacities(contact, count - 1)
-    coupling = Coupling(sites, pairs, derivative, left, right, at)
+    units = scales.length / scales.force * units, units
+    coupling = Coupling(sites, pairs, between.derivative, units, left, right, at)
     return on_nodes(spread(sites, between.force, count), motion), coupling
 
 

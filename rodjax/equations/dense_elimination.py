@@ -124,6 +124,8 @@ def _derivative(coupling: Coupling, capacity: Capacity) -> Float[Array, "m w k"]
         blocks = _between_vertices(coupling, capacity)
         weight = _weights(coupling, capacity.vertices)[pairs.nodes[: capacity.nodes]]
         blocks = jnp.einsum("na,abij,mb->nmij", weight, blocks, weight)
+    of_force, of_motion = coupling.units
+    blocks = (of_force[:, None] * of_motion[None, :])[None, None] * blocks
     return jnp.swapaxes(blocks, 1, 2).reshape(-1, width, width * blocks.shape[0])
 
 
@@ -144,8 +146,8 @@ def _between_nodes(coupling: Coupling, capacity: Capacity) -> Float[Array, "n n 
     products with the weights cost more than all else of an elimination.
     """
     sites, pairs, width = coupling.sites, coupling.pairs, coupling.width
-    nodes = len(coupling.left)
-    rank = jnp.zeros_like(pairs.nodes).at[pairs.nodes].set(jnp.arange(nodes, dtype=jnp.int32))
+    number = jnp.arange(len(coupling.left), dtype=jnp.int32)
+    rank = jnp.zeros_like(number).at[pairs.nodes].set(number)
     seat, weight = rank[sites.nodes], sites.weight
     room = capacity.pairs
 

@@ -37,10 +37,12 @@ class StripElimination(eqx.Module):
         parts = (_taken(_taken(part, rows, 1), columns, 2) for part in parts)
         # ends take the directions that they hold out of the forces on their nodes
         given = coupling.sites, coupling.pairs.count, coupling.derivative
-        left = coupling.left[:, 3 : 3 + width]
+        of_force, of_motion = coupling.units
+        left = coupling.left[:, 3 : 3 + width] * of_force[None, None]
         right = None
         if width > 3:
             right = jnp.swapaxes(_taken(coupling.right, columns, 1)[:, :width], 1, 2)
+            right = of_motion[None, :, None] * right
         far = contact_graph.distant(graph, *given, left, right)
         return cls(frontal.factorize(BlockTridiagonal(*parts), far, graph.order, size))
 

@@ -7,6 +7,8 @@ import jax
 from rodjax.interactions.contact import Contact
 from rodjax.numerics.front_order import FrontSize
 
+BLOCK = 32  # pairs that are evaluated together
+
 
 class Capacity(NamedTuple):
     """What a solver of Newton's system is compiled for. Static numbers."""
@@ -42,7 +44,9 @@ def capacities(contact: Contact, elements: int) -> tuple[Capacity, ...]:
     def capacity(vertices):
         share = -(-vertices * elements // (contact.vertices - 1)) + 16
         nodes = min(elements + 1, share) if finer else None
-        return Capacity(vertices, contact.room * vertices, nodes)
+        # whole blocks: of a list cut off inside one everything that goes with it would be copied
+        pairs = -(-contact.room * vertices // BLOCK) * BLOCK
+        return Capacity(vertices, pairs, nodes)
 
     dense = tuple(map(capacity, contact.sizes))
     largest = contact.width * dense[-1].points

@@ -13,14 +13,12 @@ from jaxtyping import Array, Bool, Float, Int
 
 from rodjax.interactions import contact_graph
 from rodjax.interactions.contact import Contact
-from rodjax.interactions.contact_capacities import capacities
+from rodjax.interactions.contact_capacities import BLOCK, capacities
 from rodjax.interactions.contact_graph import Graph
 from rodjax.interactions.contact_laws import PairProperties
 from rodjax.interactions.sites import Sites, along, around_of, interpolate
 from rodjax.numerics import newton
 from rodjax.numerics.batching import largest, only_where
-
-BLOCK = 32  # pairs that are evaluated together
 
 
 class NearPairs(NamedTuple):
