@@ -249,6 +249,7 @@ def measure(book: Notebook, name: str, program, arguments, steps: int, lanes: in
         kernels_of_a_step=found["kernels"] / steps,
         copies_of_a_step=found["copies"] / steps,
         to_host_of_a_step=found["to_host"] / steps,
+        busy_seconds_of_a_step=found["busy_seconds"] / steps,
         busy_share=found["busy_seconds"] / best,
         longest=found["longest"],
     )
@@ -308,7 +309,11 @@ def work(options) -> None:
             traced = not on_cpu and book.elapsed < options.patience
             label = f"{name} x{lanes}"
             measure(book, label, program, given, options.steps, int(lanes), traced)
-    note_parts(book, small)  # again, now that nothing is compiled beside
+    # again, now that nothing is compiled beside
+    note_parts(book, small)
+    for lanes, (future, given) in () if on_cpu else bare.items():
+        name = f"without_contact x{lanes}"
+        measure(book, name, future.result(), given, options.steps, int(lanes), trace=True)
     book.note("all", seconds=book.elapsed)
     os._exit(0)  # compilations that came too late are not waited for
 

@@ -44,18 +44,22 @@ def one_by_one(function: Callable, together: tuple[Callable, Callable] | None = 
 
     Where only the others are (several right sides of one system) they are mapped together as usual,
     which leaves what depends on the first alone to be done once. So are all where the default
-    backend is not the CPU.
+    backend is not the CPU: there the function is left as it is, but for `together`.
 
     Args:
         together: (holds, jointly), both of the function's arguments. If `holds` in every lane, they
             are mapped together by `jointly`, which then gives the same.
     """
+    if jax.default_backend() != "cpu":
+        # a rule of its own would fail in a `cond` of which lanes take different branches: all that
+        # the branches use is batched there, constants of the function as well
+        return function if together is None else _unless_all_hold(function, *together)
     inner = jax.custom_batching.custom_vmap(function)
 
     @inner.def_vmap
     def _rule(axis_size, in_batched, *arguments):
         axes = jax.tree.map(lambda batched: 0 if batched else None, in_batched)
-        if not any(jax.tree.leaves(in_batched[0])) or jax.default_backend() != "cpu":
+        if not any(jax.tree.leaves(in_batched[0])):
             # wrapped again for a `vmap` further out
             out = one_by_one(jax.vmap(function, axes))(*arguments)
         elif together is None:
@@ -71,6 +75,16 @@ def one_by_one(function: Callable, together: tuple[Callable, Callable] | None = 
         return out, jax.tree.map(lambda _: True, out)
 
     return inner
+
+
+def _unless_all_hold(function: Callable, holds: Callable, jointly: Callable) -> Callable:
+    """The function, but `jointly` if that holds in all lanes: see `one_by_one`."""
+
+    def either(*arguments):
+        fails = jnp.logical_not(holds(*arguments)).astype(jnp.int32)
+        return lax.cond(largest(fails) > 0, function, jointly, *arguments)
+
+    return either
 
 
 def _in_turn(function, in_batched, arguments):
