@@ -21,6 +21,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import rodjax as rx
+from rodjax.rods.winding import writhe_of
 
 KT = 4.114  # [pN nm]
 LENGTH, DIAMETER = 114.0, 2.0  # [nm]
@@ -43,7 +44,7 @@ def ring_of(turns: float, elements: int) -> rx.Scene:
 
 def seen(state):
     """Writhe of the closed polygon, its square and its place in the histogram, and the twist."""
-    writhe = rx.topology.writhe(state.position[:-1], closed=True)
+    writhe = writhe_of(True, state)
     edges = jnp.asarray(EDGES)
     inside = (writhe >= edges[:-1]) & (writhe < edges[1:])
     return {

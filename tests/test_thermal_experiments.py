@@ -53,7 +53,7 @@ def test_they_run_in_short_mode(tmp_path):
     assert minicircle.main(["--quick", "--out", str(tmp_path / "ring")]) == 0
     (ring,) = json.loads((tmp_path / "ring" / "summary.json").read_text())
     assert ring["result"] == "SUCCESS" and ring["linking_error"] < 1e-3
-    assert abs(ring["writhe"]) < 5 * ring["writhe_error"]
+    assert abs(ring["writhe"]) < 0.1  # of four rings for a short time
     assert 0.01 < ring["deviation"] < 1.0
     assert thermal_rate.main(["--quick", "--out", str(tmp_path / "rate")]) == 0
     assert {path.name for path in (tmp_path / "ring").iterdir()} == {
