@@ -43,6 +43,7 @@ class Result(enum.IntEnum):
     HELD_TWICE = 14
     OBSTACLE_PASSED = 15
     DIFFUSED_TOO_FAR = 16
+    NO_BRANCH_POINT = 17
 
 
 MESSAGES = {
@@ -73,6 +74,9 @@ MESSAGES = {
         "in one step of a thermal rod a node moved farther than half of the contact's cut-off, so"
         " that strands can cross unseen; use a smaller dt (the free motion of a node in a step is"
         " sqrt(2 kT dt / drag)), or a longer cut-off"
+    Result.NO_BRANCH_POINT: (
+        "at this point nothing branches, since something in the scene breaks the symmetry that a"
+        " branch point needs; look for a fold along the path of this scene"
     ),
     Result.INTERRUPTED: "stopped by the user; what was computed until then is kept",
     Result.DRIVE_MISSED: (

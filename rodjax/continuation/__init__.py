@@ -1,0 +1,1 @@
+"""Paths of equilibria along a parameter, their folds and branch points, critical loads."""

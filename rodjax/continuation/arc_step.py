@@ -1,0 +1,180 @@
+"""A step along a path of equilibria: predicted along its tangent, corrected at the arc length asked.
+
+Unknowns are those z = (x, p) of the equations at rest and of the parameter, for the equations
+
+    R(x, p) = 0,     <t, z - z_0> = s,
+
+t the row of what is asked: the tangent at z_0 (Keller's pseudo-arc length), or the parameter alone.
+Lengths are measured by <z, z> = mean of |displacement|^2/L^2 + |spin|^2 over the rod + (p/unit)^2.
+"""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jax import lax
+from jaxtyping import Array, Bool, Float, Int
+
+from rodjax.constraints import ends
+from rodjax.continuation.bordered_solve import Bordered
+from rodjax.continuation.family import Family, Parameter, Place, Rows, motion_weight
+from rodjax.equations.equations import Equations
+from rodjax.equations.schemes import AtRest
+from rodjax.numerics import results
+from rodjax.numerics.compilation import compiled
+from rodjax.numerics.results import Result
+from rodjax.rods.strains import wound
+from rodjax.scenes.holds import rows_at
+
+# Increments that are made at most, and how many may fail to shrink.
+_MOST, _PATIENCE = 14, 3
+
+# What an end may turn in a step [rad].
+_TURN = 0.5 * jnp.pi
+
+
+class Tangent(NamedTuple):
+    """A direction in unknowns and parameter, of length one."""
+
+    x: Rows
+    parameter: Float[Array, ""]  # over its unit
+
+
+class Aim(NamedTuple):
+    """How far a step goes."""
+
+    length: Float[Array, ""]
+    unit: Float[Array, ""]  # of the parameter
+    row: Tangent  # along what that is measured
+    predicted: Tangent  # where it starts from: `length` times this
+
+
+class ArcStep(NamedTuple):
+    """Where a step came to.
+
+    Attributes:
+        corrected: how far the correction went.
+        along: cosine of the angle between the tangents before and after.
+        iterations: Newton increments.
+        pull: largest entry of what the parameter changes in the equations, scaled.
+    """
+
+    parameter: Parameter
+    place: Place
+    tangent: Tangent
+    result: Int[Array, ""]
+    corrected: Float[Array, ""]
+    along: Float[Array, ""]
+    iterations: Int[Array, ""]
+    pull: Float[Array, ""]
+
+
+class _Loop(NamedTuple):
+    x: Rows
+    p: Parameter
+    size: Float[Array, ""]
+    iterations: Int[Array, ""]
+    slow: Int[Array, ""]
+    arrived: Bool[Array, ""]
+    tangent: Tangent  # found by the increment after the last
+    done: Bool[Array, ""]
+
+
+@compiled
+def arc_step(
+    family: Family, parameter: Parameter, place: Place, aim: Aim, tolerance: Float[Array, ""]
+) -> ArcStep:
+    """The equilibrium at this distance, and the path's tangent there on the side of `aim.row`."""
+    start, unit = family.guess(parameter, place), aim.unit
+    weight = motion_weight(family.equations(parameter, place), start)
+    row = weight * aim.row.x
+    first = start + aim.length * aim.predicted.x
+    p_first = parameter + aim.length * unit * aim.predicted.parameter
+
+    def unfinished(loop: _Loop):
+        going = ~loop.done & jnp.isfinite(loop.size) & (loop.slow < _PATIENCE)
+        return going & (loop.iterations < _MOST)
+
+    def correct(loop: _Loop) -> _Loop:
+        x, p, arrived = loop.x, loop.p, loop.arrived
+        equations = family.equations(p, place)
+        lacking = equations.residual(x)
+        short = aim.length - jnp.sum(row * (x - start))
+        short = short - aim.row.parameter * (p - parameter) / unit
+        bordered = _bordered(family, p, place, x, row, aim.row.parameter, unit)
+        # once arrived the same system gives the tangent
+        right = jnp.where(arrived, 0.0, -lacking), jnp.where(arrived, 1.0, short)
+        dx, dp = bordered.solve(*right)
+        scale = jnp.where(arrived, 0.0, equations.limit(x, dx))
+        size = jnp.maximum(equations.size(dx), jnp.abs(dp))
+        contraction = jnp.where(loop.iterations > 0, size / loop.size, 1.0)
+        left = size * jnp.minimum(contraction / jnp.maximum(1 - contraction, 0.5), 1.0)
+        slow = (contraction > 0.7) & (loop.iterations > 0)
+        return _Loop(
+            equations.retract(x, scale * dx),
+            p + scale * unit * dp,
+            jnp.where(arrived, loop.size, size),
+            loop.iterations + ~arrived,
+            loop.slow + (slow & ~arrived),
+            arrived | ((left <= tolerance) & (scale >= 1.0)),
+            # solved increments are those of the unknowns counted from where they have come to
+            Tangent(dx, dp),
+            arrived,
+        )
+
+    none, no = jnp.zeros((), jnp.int32), jnp.asarray(False)
+    begun = _Loop(first, p_first, jnp.ones_like(unit), none, none, no, aim.row, no)
+    end = lax.while_loop(unfinished, correct, begun)
+    x, p = end.x, end.p
+    result = jnp.where(end.done, Result.SUCCESS, Result.NEWTON_FAILED)
+    result = jnp.where(jnp.isfinite(end.size), result, Result.NON_FINITE).astype(jnp.int32)
+    new = family.place(p, place, x)
+    equations = family.equations(p, place)
+    astray = wound(equations.scene.rod, new.quaternion)
+    turned = jnp.where(astray, Result.ROTATION_TOO_LARGE, Result.SUCCESS)
+    driven = jnp.where(_driven(family, place, parameter, p), Result.DRIVE_TOO_FAST, Result.SUCCESS)
+    far = jnp.sum(weight * (x - first) ** 2) + ((p - p_first) / unit) ** 2
+    tangent = end.tangent
+    length = jnp.sqrt(jnp.sum(weight * tangent.x**2) + tangent.parameter**2)
+    tangent = jax.tree.map(lambda part: part / length, tangent)
+    return ArcStep(
+        p,
+        new,
+        tangent,
+        results.join(result, turned, driven, _overflow(equations, x)),
+        jnp.sqrt(far),
+        jnp.sum(row * tangent.x) + aim.row.parameter * tangent.parameter,
+        end.iterations,
+        jnp.max(jnp.abs(family.slope(p, place, x))),
+    )
+
+
+def _driven(family: Family, place: Place, before: Parameter, after: Parameter) -> Bool[Array, ""]:
+    """Whether an end is turned further than can be told from fewer turns."""
+
+    def turns(p):
+        scene, time = family.at(p)
+        frames = rows_at(place.quaternion, scene.held_nodes)
+        held = zip(scene.holds, frames, strict=True)
+        begun = family.origin.time
+        return jnp.stack([ends.increments(one.end, begun, time, frame)[3:] for one, frame in held])
+
+    change = turns(after) - turns(before)
+    return jnp.max(jnp.sum(change**2, 1)) > _TURN**2
+
+
+def _bordered(family: Family, p, place: Place, x, row, corner, unit) -> Bordered:
+    """The derivative of the equations by solved increments, and by the parameter over its unit."""
+    derivative = family.derivative(p, place, x)
+    lift = lambda dx: derivative.equations.lift(x, dx)
+    (of_increments,) = jax.linear_transpose(lift, x)(row)
+    column = unit * family.slope(p, place, x)
+    return Bordered(derivative, column, of_increments, jnp.asarray(corner, x.dtype))
+
+
+def _overflow(equations: Equations[AtRest], x) -> Int[Array, ""]:
+    """A code that tells whether pairs in contact were left out."""
+    if equations.scene.contact is None:
+        return results.as_code(Result.SUCCESS)
+    pairs = equations.scene.find_contact(equations.motion(x).position).pairs
+    return jnp.where(pairs.overflow, Result.CAPACITY_OVERFLOW, Result.SUCCESS).astype(jnp.int32)

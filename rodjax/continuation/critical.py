@@ -1,0 +1,180 @@
+"""Critical loads, as differentiable functions of the scene."""
+
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jax import lax
+from jaxtyping import Array, Float, Int
+
+from rodjax.continuation.diagram import CriticalPoint
+from rodjax.continuation.family import (
+    Family,
+    Parameter,
+    Place,
+    balanced,
+    elastic_of,
+    motion_weight,
+)
+from rodjax.continuation.singular_points import SingularPoint
+from rodjax.equilibria.motion_norms import moving_weight
+from rodjax.inputs.validation import all_known, check_instance
+from rodjax.numerics import newton, results
+from rodjax.numerics.compilation import compiled
+from rodjax.numerics.failure import not_a_number
+from rodjax.numerics.results import Result
+from rodjax.rods.state import State
+
+# Newton increments at most; what the last may change of the parameter over its unit, and of x.
+_MOST, _PARAMETER, _MOTION = 12, 1e-9, 1e-3
+
+# By how much a disturbance that a branch point needs may bend the rod [rad].
+_SYMMETRIC = 1e-5
+
+
+class _Loop(NamedTuple):
+    parameter: Parameter
+    place: Place
+    null: Float[Array, "nodes 6"]
+    bent: Float[Array, ""]
+    change: Float[Array, ""]
+    iterations: Int[Array, ""]
+    done: Array
+
+
+def critical(
+    scene_of, point: CriticalPoint, *, origin: State | None = None, throw: bool = True
+) -> CriticalPoint:
+    """The fold or branch point near `point`, a differentiable function of the scenes.
+
+    Solves the extended equations of `singular_points` by Newton's method, from a point that
+    `path` found, perhaps of scenes that differ a little. Its parameter (the buckling load, the
+    turns at which a loop pops) and its state can be differentiated by every array that
+    `scene_of` closes over, in forward and reverse mode, by the implicit function theorem.
+
+    A branch point owes itself to a symmetry. What breaks that symmetry (an imperfection where the
+    scene had none) turns it into a fold, and moves the critical load by the power 2/3 of its size:
+    no derivative tells of it, and the code is NO_BRANCH_POINT where the scene has it already. The
+    fold of a scene with an imperfection has derivatives by it.
+
+    Args:
+        scene_of: as of `path`. In a loop of your own give one function with its arrays bound,
+            `jax.tree_util.Partial(scene_of, radii)`, of which p is the last argument: functions
+            made anew are compiled anew.
+        point: where to begin, of `EquilibriumPath.critical` or of this function.
+        origin: the state from which the schedules of the scenes count, `point.origin` by default.
+            Give it where the scenes place their rods otherwise.
+        throw: raise where no point was found. Otherwise, and in traced code, `result` tells, and
+            numbers are NaN.
+
+    Raises:
+        SimulationError: Newton's method found no singular point near by (NEWTON_FAILED), or one
+            that only a disturbance makes an equilibrium (NO_BRANCH_POINT).
+
+    Example:
+        >>> point = rx.path(scene_of, state, 0.0, 3.0).critical[0]
+        >>> def critical_turns(stiffness):  # of a clamped rod, M = 8.98 A/L
+        ...     scenes = lambda turns: twisted(rod_of(stiffness), turns)
+        ...     return rx.critical(scenes, point).parameter
+        >>> slope = jax.grad(critical_turns)(1.0)  # doctest: +SKIP
+    """
+    check_instance(
+        CriticalPoint, "give one of those that `path(...).critical` holds", point=point
+    )
+    family = Family(scene_of, point.origin if origin is None else origin)
+    converted = explicit(family, point.parameter)
+    # a function that closes over traced values is made explicit before it is compiled; others are
+    # not, for a converted function is a new one
+    if not all_known(converted):
+        family = converted
+    found = _critical(family, point)
+    if throw and all_known(found.result):
+        where = f"critical, near the {point.kind} point at {float(point.parameter):g}"
+        results.raise_if_failed(found.result, where, found)
+    return found
+
+
+def explicit(family: Family, parameter: Parameter) -> Family:
+    """The family whose scenes have as leaves the arrays that their function closes over."""
+    scene_of: Any = eqx.filter_closure_convert(family.scene_of, parameter)
+    return eqx.tree_at(lambda one: one.scene_of, family, scene_of)
+
+
+@compiled
+def _critical(family: Family, point: CriticalPoint) -> CriticalPoint:
+    family = explicit(family, point.parameter)
+    fixed, start = newton.constant((family, point))
+    unit = start.unit
+
+    def equations(family, p, place):
+        x = family.guess(p, place)
+        rest = family.equations(p, place)
+        mode = start.modes[0]
+        column, row = borders(rest, mode, x)
+        return SingularPoint(family, place, column, row, unit, point.kind == "branch")
+
+    def advance(loop: _Loop) -> _Loop:
+        p, place = loop.parameter, loop.place
+        extended = equations(fixed, p, place)
+        z = extended.packed(fixed.guess(p, place), p, jnp.zeros_like(p))
+        derivative = extended.linearize(z)
+        dz = derivative.solve(-extended.residual(z))
+        size = fixed.equations(p, place).size(dz[:-1])
+        # not further than the chart and the linearisation hold
+        scale = jnp.minimum(1.0, 0.3 / jnp.maximum(size, 1e-12))
+        z = z + scale * dz
+        p = extended.parameter(z)
+        change = jnp.abs(dz[-1, 0])
+        done = (change <= _PARAMETER) & (size <= _MOTION)
+        place = fixed.place(p, place, z[:-1])
+        bent = _bent(fixed.equations(p, place), start.modes[0], extended.column, dz[-1, 1])
+        null = fixed.equations(p, place).change(derivative.null)
+        return _Loop(p, place, null, bent, change, loop.iterations + 1, done)
+
+    def going(loop: _Loop):
+        return ~loop.done & jnp.isfinite(loop.change) & (loop.iterations < _MOST)
+
+    zero, none = jnp.zeros_like(unit), jnp.zeros((), jnp.int32)
+    place, no = Place.of(start.state), jnp.asarray(False)
+    begun = _Loop(start.parameter, place, start.modes[0], zero, zero, none, no)
+    end = lax.while_loop(going, advance, begun)
+    result = jnp.where(end.done, Result.SUCCESS, Result.NEWTON_FAILED)
+    result = jnp.where(jnp.isfinite(end.change), result, Result.NON_FINITE)
+    asymmetric = (end.bent > _SYMMETRIC) & (point.kind == "branch")
+    result = jnp.where(end.done & asymmetric, Result.NO_BRANCH_POINT, result).astype(jnp.int32)
+
+    extended = equations(family, end.parameter, end.place)
+    z = extended.packed(fixed.guess(end.parameter, end.place), end.parameter, zero)
+    # borders and chart have no influence on the point
+    where = lambda one: (one.place, one.column, one.row, one.unit)
+    held = newton.constant(where(extended))
+    extended = eqx.tree_at(where, extended, held)
+    z = newton.root(extended, z)
+    p = extended.parameter(z)
+    place = family.place(p, end.place, z[:-1])
+    weight = moving_weight(fixed.at(end.parameter)[0])
+    mode = end.null / jnp.sqrt(jnp.sum(weight * end.null**2))
+    modes = jnp.concatenate([mode[None], start.modes[1:]])
+    numbers = not_a_number((p, family.state(p, place), modes), result != 0)
+    return CriticalPoint(point.kind, *numbers, unit, family.origin, result)
+
+
+def _bent(equations, mode, column, beta) -> Float[Array, ""]:
+    """About how far what beta stands for bends the rod [rad]."""
+    wrench = column[: len(mode), 3:] * equations.scales.wrench[None]
+    scene = equations.scene
+    return jnp.abs(beta * jnp.sum(mode * wrench)) / (
+        elastic_of(scene) * jnp.sqrt(jnp.sum(scene.rod.length))
+    )
+
+
+def borders(equations, mode: Float[Array, "nodes 6"], x) -> tuple:
+    """Column and row that make a system regular which is singular by this mode."""
+    weight = motion_weight(equations, x)
+    own = mode / equations.scales.motion[None]
+    rows = jnp.concatenate([own[:, :3], jnp.zeros_like(own[:, :3]), own[:, 3:]], 1)
+    rows = jnp.pad(rows, ((0, x.shape[0] - rows.shape[0]), (0, 0)))
+    row = weight * rows
+    column = balanced(equations, moving_weight(equations.scene) * mode, x)
+    return column / jnp.linalg.norm(column), row / jnp.sqrt(jnp.sum(row * rows))

@@ -1,0 +1,177 @@
+"""Scenes along a parameter, and their equations at rest."""
+
+import dataclasses
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from rodjax.equations.equations import Equations
+from rodjax.equations.schemes import AtRest, rest_on_path
+from rodjax.equilibria.motion_norms import moving_weight
+from rodjax.numerics import rotations
+from rodjax.rods.balance import Internal
+from rodjax.rods.state import State
+from rodjax.scenes.holds import rows_at, with_row
+from rodjax.scenes.scene import Scene
+
+Rows = Float[Array, "rows 9"]
+Parameter = Float[Array, ""]
+
+# What the resistance makes of an eigenvalue that is zero, in mean bending stiffness over the length
+# squared.
+_RESISTANCE = 1e-6
+
+# How far a node may turn in one increment [rad].
+_TURN = 0.6
+
+
+class Place(NamedTuple):
+    """An equilibrium, whatever time it is."""
+
+    position: Float[Array, "nodes 3"]
+    quaternion: Float[Array, "nodes 4"]
+    force: Float[Array, "n 3"]
+    joints: Float[Array, "j 6"] | None
+
+    @classmethod
+    def of(cls, state: State) -> "Place":
+        """Of a state."""
+        return cls(state.position, state.quaternion, state.force, state.joints)
+
+
+class Family(eqx.Module):
+    """The scenes of a parameter, and the state from which their schedules count.
+
+    Attributes:
+        scene_of: gives for a parameter a scene, or a scene and the time at which its schedules are
+            evaluated.
+        origin: where these begin.
+    """
+
+    scene_of: Callable[[Parameter], Any]
+    origin: State
+
+    def at(self, parameter: Parameter) -> tuple[Scene, Float[Array, ""]]:
+        """The scene, and when its schedules are evaluated."""
+        found = self.scene_of(parameter)
+        if isinstance(found, tuple):
+            scene, time = found
+            return scene, jnp.asarray(time, self.origin.time.dtype)
+        return found, self.origin.time
+
+    def equations(self, parameter: Parameter, place: Place) -> Equations[AtRest]:
+        """What a place must solve, increments counted from it."""
+        scene, time = self.at(parameter)
+        return self._at_rest(scene, time, place)
+
+    def derivative(self, parameter: Parameter, place: Place, x: Rows) -> "Derivative":
+        """Their derivative at x, by increments as `Equations.lift` takes them."""
+        scene, time = self.at(parameter)
+        resistance = resistance_of(scene) * moving_weight(scene)
+        equations = self._at_rest(scene, time, place, resistance)
+        return Derivative(equations, equations.linearize(x), x)
+
+    def _at_rest(self, scene, time, place: Place, resistance=None) -> Equations[AtRest]:
+        zero = jnp.zeros_like(place.position)
+        rest = rest_on_path(
+            (place.position, place.quaternion),
+            jnp.full((), _TURN, zero.dtype),
+            jnp.ones((), zero.dtype),
+            Internal(zero, zero, jnp.zeros_like(place.force)),
+            resistance,
+        )
+        return Equations.of(scene, rest, self.origin, time)
+
+    def guess(self, parameter: Parameter, place: Place) -> Rows:
+        """The unknowns of the place itself."""
+        return self.equations(parameter, place).guess(place.force, place.joints)
+
+    def place(self, parameter: Parameter, place: Place, x: Rows) -> Place:
+        """Where unknowns have come to."""
+        equations = self.equations(parameter, place)
+        motion = equations.motion(x)
+        quaternion = rotations.normalize(motion.quaternion)
+        return Place(motion.position, quaternion, equations.force(x), equations.joints(x))
+
+    def slope(self, parameter: Parameter, place: Place, x: Rows) -> Rows:
+        """Derivative of the residual by the parameter."""
+        residual = lambda p: self.equations(p, place).residual(x)
+        return jax.jvp(residual, (parameter,), (jnp.ones_like(parameter),))[1]
+
+    def state(self, parameter: Parameter, place: Place) -> State:
+        """The place as a state of its scene."""
+        scene, time = self.at(parameter)
+        zero = jnp.zeros_like(self.origin.rate)
+        frames = place.position, place.quaternion
+        breaks = scene.rod.breaks
+        state = State(time, *frames, zero, zero, zero, place.force, breaks=breaks)
+        return dataclasses.replace(state, joints=place.joints)
+
+
+class Derivative(eqx.Module):
+    """The derivative of equations at rest, solved with a resistance that it does not have.
+
+    A symmetry of a scene makes it singular for good (a buckled isotropic rod turns about its axis,
+    a ring everts). A little resistance to all motions keeps solutions from being moved along such
+    orbits by rounding. What it changes besides, a refinement by `multiply` takes back.
+    """
+
+    equations: Equations[AtRest]  # resisted
+    system: Any
+    x: Rows
+
+    def multiply(self, v: Rows) -> Rows:
+        """Matrix times vector, without resistance."""
+        resistance = self.equations.scheme.resistance
+        moved = self.equations.change(self.equations.lift(self.x, v))
+        return self.system.multiply(v) - balanced(self.equations, resistance * moved, v)
+
+    def multiply_transpose(self, v: Rows) -> Rows:
+        """Transposed matrix times vector, without resistance."""
+        return jax.linear_transpose(self.multiply, v)(v)[0]
+
+    def solve(self, right: Rows) -> Rows:
+        """Solution, with resistance."""
+        return self.system.solve(right)
+
+    def solve_transpose(self, right: Rows) -> Rows:
+        """Solution of the transposed system, with resistance."""
+        return self.system.solve_transpose(right)
+
+
+def balanced(
+    equations: Equations[AtRest], wrench: Float[Array, "nodes 6"], like: Rows
+) -> Rows:
+    """Rows of a right side: a wrench on the nodes [N, N m], nothing where they are held."""
+    rows = wrench / equations.scales.wrench[None]
+    nodes = equations.scene.held_nodes
+    held = rows_at(rows, nodes)
+    held = held - jnp.einsum("eij,ej->ei", equations.projectors, held)
+    for node, row in zip(nodes, held, strict=True):
+        rows = with_row(rows, node, row)
+    rows = jnp.concatenate([jnp.zeros_like(rows[:, :3]), rows], 1)
+    return jnp.pad(rows, ((0, like.shape[0] - rows.shape[0]), (0, 0)))
+
+
+def resistance_of(scene: Scene) -> Float[Array, ""]:
+    """What is added to every eigenvalue where a `Derivative` is solved [N]."""
+    return _RESISTANCE * elastic_of(scene)
+
+
+def elastic_of(scene: Scene) -> Float[Array, ""]:
+    """The unit of eigenvalues, mean bending stiffness over the length squared [N]."""
+    return scene.rod.mean_bending / jnp.sum(scene.rod.length) ** 2
+
+
+def motion_weight(equations: Equations[AtRest], x: Rows) -> Rows:
+    """Weights of the squares of unknowns in the mean square of spins and displacements over L."""
+    scene = equations.scene
+    weight = moving_weight(scene) / jnp.sum(scene.rod.length)
+    weight = weight * equations.scales.motion[None] ** 2
+    still = jnp.zeros_like(weight[:, :3])
+    rows = jnp.concatenate([weight[:, :3], still, weight[:, 3:]], 1)
+    return jnp.pad(rows, ((0, x.shape[0] - rows.shape[0]), (0, 0)))

@@ -1,0 +1,153 @@
+"""Equilibria whose tangent is singular: folds and branch points, as roots of extended equations.
+
+With A = dR/dx and fixed borders b, c the system
+
+    [A  b] [v]   [0]
+    [c  0] [g] = [1]
+
+is regular where A has lost one rank, and g = 0 exactly there (Govaerts 2000, minimally extended
+systems); v is then the null vector. The unknowns are x, the parameter p and a disturbance beta:
+
+    R(x, p) + beta b = 0,     g(x, p) = 0,     and at
+    a fold:          beta = 0;
+    a branch point:  c.x = 0: x moves in no direction that breaks the symmetry, beta is zero there
+                     by itself, as long as nothing else does (Werner & Spence 1984).
+"""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jax import lax
+from jaxtyping import Array, Float
+
+from rodjax.continuation.bordered_solve import Bordered
+from rodjax.continuation.family import Family, Parameter, Place, Rows
+from rodjax.numerics import newton
+
+
+class SingularPoint(eqx.Module):
+    """Equations of a fold or a branch point near a place, see `numerics.newton`.
+
+    Their unknowns z are those of the equations at rest, x, and one more row that begins with the
+    parameter over its unit and beta.
+    """
+
+    family: Family
+    place: Place  # from which x counts
+    column: Rows  # b
+    row: Rows  # c
+    unit: Float[Array, ""]  # of the parameter
+    branches: bool = eqx.field(static=True)
+
+    def packed(self, x: Rows, parameter: Parameter, beta) -> Float[Array, "more 9"]:
+        """z."""
+        return _packed(x, parameter / self.unit, beta)
+
+    def parameter(self, z) -> Parameter:
+        """That of z."""
+        return z[-1, 0] * self.unit
+
+    def residual(self, z):
+        """What z lacks."""
+        x, p, beta = z[:-1], self.parameter(z), z[-1, 1]
+        rows = self.family.equations(p, self.place).residual(x) + beta * self.column
+        start = self.family.guess(p, self.place)
+        second = jnp.sum(self.row * (x - start)) if self.branches else beta
+        return _packed(rows, self.singular(x, p)[1], second, z[-1, 2:])
+
+    def singular(self, x: Rows, p: Parameter) -> tuple[Rows, Float[Array, ""]]:
+        """v and g."""
+        residual = self.family.equations(p, self.place).residual
+
+        def multiply(both):
+            v, g = both[:-1], both[-1, 0]
+            moved = jax.jvp(residual, (x,), (v,))[1]
+            return _packed(moved + g * self.column, jnp.sum(self.row * v), both[-1, 1], both[-1, 2:])
+
+        right = _packed(jnp.zeros_like(x), jnp.ones_like(p), jnp.zeros_like(p))
+        found = _solved(multiply, self._bordered(x, p), right)
+        return found[:-1], found[-1, 0]
+
+    def _bordered(self, x: Rows, p: Parameter) -> Bordered:
+        fixed = lax.stop_gradient
+        derivative = newton.constant(self.family.derivative(p, self.place, x))
+        return Bordered(derivative, *fixed((self.column, self.row, jnp.zeros_like(p))))
+
+    def linearize(self, z) -> "_Extended":
+        """The derivative at z, whose nodes must not have turned from the place."""
+        x, p = z[:-1], self.parameter(z)
+        slope = self.unit * self.family.slope(p, self.place, x)
+        g = lambda x, p: self.singular(x, p)[::-1]
+        (_, null), (by_x, by_p) = jax.value_and_grad(g, (0, 1), has_aux=True)(x, p)
+        return _Extended(self._bordered(x, p), slope, by_x, self.unit * by_p, null, self.branches)
+
+    def lift(self, z, dz):
+        """Increment of z for solved increments."""
+        return dz
+
+
+class _Extended(eqx.Module):
+    """The derivative of the extended equations."""
+
+    bordered: Bordered
+    slope: Rows  # of R by the parameter over its unit
+    by_x: Rows  # of g
+    by_p: Float[Array, ""]
+    null: Rows  # v
+    branches: bool = eqx.field(static=True)
+
+    def multiply(self, dz):
+        """Matrix times vector."""
+        dx, dp, beta = dz[:-1], dz[-1, 0], dz[-1, 1]
+        rows, along = self.bordered.multiply(dx, beta)
+        of_g = jnp.sum(self.by_x * dx) + self.by_p * dp
+        return _packed(rows + self.slope * dp, of_g, along if self.branches else beta, dz[-1, 2:])
+
+    def solve(self, right):
+        """Solution, by two numbers: the parameter, and how far x moves along c."""
+        f, of_g, second = right[:-1], right[-1, 0], right[-1, 1]
+        (x, beta), (columns, betas), matrix = self.bordered.solve(f, 0 * of_g), *self._numbers()
+        second = second if self.branches else second - beta
+        numbers = jnp.linalg.solve(matrix, jnp.stack([of_g - jnp.sum(self.by_x * x), second]))
+        dx = x + jnp.einsum("i,inr->nr", numbers, columns)
+        return _packed(dx, numbers[0], beta + jnp.sum(numbers * betas), right[-1, 2:])
+
+    def solve_transpose(self, right):
+        """Solution of the transposed system."""
+        x, p, beta = right[:-1], right[-1, 0], right[-1, 1]
+        (columns, betas), matrix = self._numbers()
+        asked = jnp.einsum("nr,inr->i", x, columns) + beta * betas
+        of_g, second = jnp.linalg.solve(matrix.T, asked.at[0].add(p))
+        beta = beta if self.branches else beta - second
+        f, _ = self.bordered.solve_transpose(x - of_g * self.by_x, beta)
+        return _packed(f, of_g, second, right[-1, 2:])
+
+    def _numbers(self):
+        """What the parameter and a motion along c do to x and beta, and the equations for both."""
+        zero, one = jnp.zeros_like(self.by_p), jnp.ones_like(self.by_p)
+        right = jnp.stack([-self.slope, 0 * self.slope]), jnp.stack([zero, one])
+        columns, betas = jax.vmap(self.bordered.solve)(*right)
+        first = jnp.einsum("nr,inr->i", self.by_x, columns).at[0].add(self.by_p)
+        second = jnp.stack([zero, one]) if self.branches else betas
+        return (columns, betas), jnp.stack([first, second])
+
+
+def _solved(multiply, bordered: Bordered, right):
+    """Solution of a bordered system, in a way that can be differentiated."""
+
+    def by(solve):
+        def packed(_, b):
+            x, y = solve(b[:-1], b[-1, 0])
+            return _packed(x, y, b[-1, 1], b[-1, 2:])
+
+        return packed
+
+    return lax.custom_linear_solve(
+        multiply, right, by(bordered.solve), by(bordered.solve_transpose)
+    )
+
+
+def _packed(x: Rows, first, second, rest=None):
+    rest = jnp.zeros((7,), x.dtype) if rest is None else rest
+    last = jnp.concatenate([jnp.stack([first, second]), rest])
+    return jnp.concatenate([x, last[None]])

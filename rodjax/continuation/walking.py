@@ -1,0 +1,99 @@
+"""Steps from one point of a path to the next, and to where something is met (not in traced code)."""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from rodjax.continuation.arc_step import Aim, ArcStep, Tangent, arc_step
+from rodjax.continuation.family import Family, Place, motion_weight
+from rodjax.continuation.looking import Look, look
+from rodjax.numerics.results import Result
+
+# Error left by the last increment of a step, in rotations and displacements [rad].
+TOLERANCE = 1e-9
+
+# How far a step's correction may go, over its length, and how little its tangents may agree.
+_CORRECTED, _ALONG = 0.5, 0.8
+
+# The angle between tangents that a step is made for [rad], the iterations, and how much longer the
+# next may be.
+_ANGLE, _ITERATIONS, _LONGER = 0.2, 4, 1.6
+
+
+class Point(NamedTuple):
+    """A point of a path."""
+
+    parameter: jax.Array
+    place: Place
+    tangent: Tangent
+    look: Look
+
+
+class Walker(NamedTuple):
+    """What all steps of a path are made by."""
+
+    family: Family
+    unit: jax.Array  # of the parameter
+    measures: dict
+
+    def number(self, value) -> jax.Array:
+        """In the precision of the rod."""
+        return jnp.asarray(value, self.unit.dtype)
+
+    def along_parameter(self, like: Tangent, sign: float) -> Tangent:
+        """The row of steps to a value of the parameter."""
+        return Tangent(jnp.zeros_like(like.x), self.number(sign))
+
+    def step(self, parameter, place: Place, length: float, row: Tangent, predicted=None) -> ArcStep:
+        """The equilibrium at this distance along a row."""
+        predicted = row if predicted is None else predicted
+        aim = Aim(self.number(length), self.unit, row, predicted)
+        return arc_step(self.family, parameter, place, aim, self.number(TOLERANCE))
+
+    def from_point(self, point: Point, length: float) -> ArcStep:
+        """The equilibrium at this distance along the path."""
+        return self.step(point.parameter, point.place, length, point.tangent)
+
+    def to_parameter(self, point: Point, length: float, value: float) -> ArcStep:
+        """The equilibrium at a value of the parameter, about so far along the path."""
+        distance = (value - float(point.parameter)) / float(self.unit)
+        sign = 1.0 if float(point.tangent.parameter) >= 0 else -1.0
+        row = self.along_parameter(point.tangent, sign)
+        if distance == 0:
+            return self.step(point.parameter, point.place, 0.0, row)
+        way = jax.tree.map(lambda t: t * (length / abs(distance)), point.tangent)
+        predicted = way._replace(parameter=self.number(np.sign(distance)))
+        found = self.step(point.parameter, point.place, abs(distance), row, predicted)
+        # the angle between the tangents, not that to the row
+        weight = motion_weight(self.family.equations(point.parameter, point.place), way.x)
+        of_x = jnp.sum(weight * point.tangent.x * found.tangent.x)
+        along = of_x + point.tangent.parameter * found.tangent.parameter
+        return found._replace(along=along)
+
+    def looked(self, step: ArcStep, before: Look | None, first=None) -> Point:
+        """The point that a step came to, modes looked for from those of the point before."""
+        first = before.near.modes if before is not None else first
+        found = look(self.family, step.parameter, step.place, first, self.measures)
+        return Point(step.parameter, step.place, step.tangent, found)
+
+
+def fits(step: ArcStep, length: float, gently: bool) -> bool:
+    """Whether a step found the path's next point, and not one of another path.
+
+    Args:
+        gently: whether the step is so short that a corner of the path explains what is rough.
+    """
+    if int(step.result) != Result.SUCCESS:
+        return False
+    if float(step.corrected) > _CORRECTED * abs(length):
+        return False
+    return float(step.along) > (0.0 if gently else _ALONG)
+
+
+def next_length(step: ArcStep, length: float) -> float:
+    """How long the next step may be."""
+    angle = np.arccos(np.clip(float(step.along), -1.0, 1.0))
+    wanted = min(_ANGLE / max(angle, 1e-9), (_ITERATIONS + 1) / (float(step.iterations) + 1))
+    return length * float(np.clip(wanted, 0.4, _LONGER))
