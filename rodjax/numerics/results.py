@@ -74,6 +74,7 @@ MESSAGES = {
         "in one step of a thermal rod a node moved farther than half of the contact's cut-off, so"
         " that strands can cross unseen; use a smaller dt (the free motion of a node in a step is"
         " sqrt(2 kT dt / drag)), or a longer cut-off"
+    ),
     Result.NO_BRANCH_POINT: (
         "at this point nothing branches, since something in the scene breaks the symmetry that a"
         " branch point needs; look for a fold along the path of this scene"
