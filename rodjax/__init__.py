@@ -34,6 +34,12 @@ from rodjax.constraints.joints import Point as Point
 from rodjax.constraints.joints import Slide as Slide
 from rodjax.constraints.joints import Weld as Weld
 from rodjax.constraints.supports import Support as Support
+from rodjax.continuation.critical import critical as critical
+from rodjax.continuation.diagram import CriticalPoint as CriticalPoint
+from rodjax.continuation.diagram import EquilibriumPath as EquilibriumPath
+from rodjax.continuation.diagram import PathEnd as PathEnd
+from rodjax.continuation.equilibrium_path import branch as branch
+from rodjax.continuation.equilibrium_path import path as path
 from rodjax.dynamics.adaptive import adaptive_rollout as adaptive_rollout
 from rodjax.dynamics.bath import Bath as Bath
 from rodjax.dynamics.consistency import start as start
@@ -221,12 +227,14 @@ __all__ = [
     "Clamped",
     "Constant",
     "Contact",
+    "CriticalPoint",
     "Cylinder",
     "DampedInversePower",
     "DebyeHueckel",
     "DistributedLoad",
     "ElasticPlastic",
     "ElementMotion",
+    "EquilibriumPath",
     "Fit",
     "FitError",
     "FitResult",
@@ -255,6 +263,7 @@ __all__ = [
     "NormalPrior",
     "Observations",
     "Obstacle",
+    "PathEnd",
     "Penalty",
     "PiecewiseLinear",
     "PiecewiseLinearRate",
@@ -290,9 +299,11 @@ __all__ = [
     "Weld",
     "adaptive_rollout",
     "animate",
+    "branch",
     "centreline",
     "check",
     "circular_section",
+    "critical",
     "curved_rod",
     "energy",
     "equilibrium",
@@ -305,6 +316,7 @@ __all__ = [
     "measures",
     "minimize",
     "paper_scheme",
+    "path",
     "picture",
     "placing",
     "plot",

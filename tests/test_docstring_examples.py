@@ -15,6 +15,7 @@ import rodjax as rx
 LONG = ["adaptive_rollout", "animate", "equilibrium", "jit", "SimulationError", "stability", "step"]
 LONG += ["vibration", "check", "simulate"]
 LONG += ["thermal_rollout", "ThermalRun", "thermal_step", "relaxation_times", "Averages"]
+LONG += ["path", "branch", "critical", "CriticalPoint", "EquilibriumPath", "PathEnd"]
 NAMES = [
     pytest.param(name, marks=pytest.mark.slow) if name in LONG else name
     for name in rx.__all__

@@ -21,6 +21,7 @@ ORDER = [
     "equilibria",
     "dynamics",
     "measuring",
+    "continuation",
     "fitting",
     "files",
     "viewing",

@@ -1,4 +1,4 @@
-"""A step along a path of equilibria: predicted along its tangent, corrected at the arc length asked.
+"""A step along a path of equilibria: predicted along its tangent, corrected at the length asked.
 
 Unknowns are those z = (x, p) of the equations at rest and of the parameter, for the equations
 
@@ -114,8 +114,8 @@ def arc_step(
             equations.retract(x, scale * dx),
             p + scale * unit * dp,
             jnp.where(arrived, loop.size, size),
-            loop.iterations + ~arrived,
-            loop.slow + (slow & ~arrived),
+            loop.iterations + (~arrived).astype(jnp.int32),
+            loop.slow + (slow & ~arrived).astype(jnp.int32),
             arrived | ((left <= tolerance) & (scale >= 1.0)),
             # solved increments are those of the unknowns counted from where they have come to
             Tangent(dx, dp),

@@ -3,7 +3,6 @@
 from typing import Any, NamedTuple
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float, Int
@@ -15,6 +14,7 @@ from rodjax.continuation.family import (
     Place,
     balanced,
     elastic_of,
+    function_of,
     motion_weight,
 )
 from rodjax.continuation.singular_points import SingularPoint
@@ -73,16 +73,19 @@ def critical(
             that only a disturbance makes an equilibrium (NO_BRANCH_POINT).
 
     Example:
-        >>> point = rx.path(scene_of, state, 0.0, 3.0).critical[0]
-        >>> def critical_turns(stiffness):  # of a clamped rod, M = 8.98 A/L
-        ...     scenes = lambda turns: twisted(rod_of(stiffness), turns)
-        ...     return rx.critical(scenes, point).parameter
-        >>> slope = jax.grad(critical_turns)(1.0)  # doctest: +SKIP
+        >>> turn = rx.Turn((1, 0, 0), rx.PiecewiseLinear([0.0, 3.0], [0.0, 6 * np.pi]))
+        >>> scene = rx.Scene(rod, rx.Clamped(), rx.Slider((1, 0, 0), rotation=turn))
+        >>> path = rx.path(scene, rx.placing(scene), 0.0, 3.0)
+        >>> point = path.critical[0]
+        >>> def turns(stiffness):
+        ...     softer = dataclasses.replace(rod, stiffness=stiffness * rod.stiffness)
+        ...     return rx.critical(dataclasses.replace(scene, rod=softer), point).parameter
+        >>> round(float(turns(1.1) - point.parameter), 9)  # of the ratio of its stiffnesses alone
+        0.0
+        >>> slope = jax.grad(turns)(1.0)  # doctest: +SKIP
     """
-    check_instance(
-        CriticalPoint, "give one of those that `path(...).critical` holds", point=point
-    )
-    family = Family(scene_of, point.origin if origin is None else origin)
+    check_instance(CriticalPoint, "give one of those that `path(...).critical` holds", point=point)
+    family = Family(function_of(scene_of), point.origin if origin is None else origin)
     converted = explicit(family, point.parameter)
     # a function that closes over traced values is made explicit before it is compiled; others are
     # not, for a converted function is a new one
@@ -129,7 +132,7 @@ def _critical(family: Family, point: CriticalPoint) -> CriticalPoint:
         done = (change <= _PARAMETER) & (size <= _MOTION)
         place = fixed.place(p, place, z[:-1])
         bent = _bent(fixed.equations(p, place), start.modes[0], extended.column, dz[-1, 1])
-        null = fixed.equations(p, place).change(derivative.null)
+        null = fixed.equations(p, place).change(derivative.columns[1])
         return _Loop(p, place, null, bent, change, loop.iterations + 1, done)
 
     def going(loop: _Loop):
@@ -156,8 +159,9 @@ def _critical(family: Family, point: CriticalPoint) -> CriticalPoint:
     weight = moving_weight(fixed.at(end.parameter)[0])
     mode = end.null / jnp.sqrt(jnp.sum(weight * end.null**2))
     modes = jnp.concatenate([mode[None], start.modes[1:]])
-    numbers = not_a_number((p, family.state(p, place), modes), result != 0)
-    return CriticalPoint(point.kind, *numbers, unit, family.origin, result)
+    known = p, family.state(p, place), modes
+    parameter, state, modes = not_a_number(known, result != 0)
+    return CriticalPoint(point.kind, parameter, state, modes, unit, family.origin, result)
 
 
 def _bent(equations, mode, column, beta) -> Float[Array, ""]:

@@ -30,9 +30,11 @@ class CriticalPoint(eqx.Module):
         result: a `Result` as a number; 0 is success.
 
     Example:
-        >>> path = rx.path(scene_of, state, 0.0, 3.0)
+        >>> turn = rx.Turn((1, 0, 0), rx.PiecewiseLinear([0.0, 3.0], [0.0, 6 * np.pi]))
+        >>> scene = rx.Scene(rod, rx.Clamped(), rx.Slider((1, 0, 0), rotation=turn))
+        >>> path = rx.path(scene, rx.placing(scene), 0.0, 3.0)
         >>> [(point.kind, round(float(point.parameter), 2)) for point in path.critical]
-        [('branch', 1.79)]
+        [('branch', 2.15)]
     """
 
     kind: Kind = eqx.field(static=True)
@@ -48,7 +50,10 @@ class PathEnd(enum.Enum):
     """Why a path ended.
 
     Example:
-        >>> rx.path(scene_of, state, 0.0, 3.0).end
+        >>> turn = rx.Turn((1, 0, 0), rx.PiecewiseLinear([0.0, 3.0], [0.0, 6 * np.pi]))
+        >>> scene = rx.Scene(rod, rx.Clamped(), rx.Slider((1, 0, 0), rotation=turn))
+        >>> path = rx.path(scene, rx.placing(scene), 0.0, 3.0)
+        >>> path.end
         <PathEnd.STOP: 'the parameter reached the value asked'>
     """
 
@@ -83,8 +88,10 @@ class EquilibriumPath(eqx.Module):
         result: a `Result` as a number: 0 unless `end` is FAILED.
 
     Example:
-        >>> path = rx.path(scene_of, state, 0.0, 3.0)
-        >>> path.parameters[-1], path.unstable[0], path.unstable[-1]
+        >>> turn = rx.Turn((1, 0, 0), rx.PiecewiseLinear([0.0, 3.0], [0.0, 6 * np.pi]))
+        >>> scene = rx.Scene(rod, rx.Clamped(), rx.Slider((1, 0, 0), rotation=turn))
+        >>> path = rx.path(scene, rx.placing(scene), 0.0, 3.0)
+        >>> float(path.parameters[-1]), int(path.unstable[0]), int(path.unstable[-1])
         (3.0, 0, 2)
     """
 

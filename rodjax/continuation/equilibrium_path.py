@@ -10,7 +10,7 @@ import numpy as np
 from rodjax.continuation.arc_step import ArcStep, Tangent
 from rodjax.continuation.diagram import CriticalPoint, EquilibriumPath, PathEnd
 from rodjax.continuation.events import distance, events, locate
-from rodjax.continuation.family import Family, Place, motion_weight
+from rodjax.continuation.family import Place, motion_weight
 from rodjax.continuation.near_modes import first_motions
 from rodjax.continuation.path_arguments import check_bounds, check_settings, checked_family
 from rodjax.continuation.walking import Point, Walker, fits, next_length
@@ -18,6 +18,7 @@ from rodjax.inputs.validation import check_instance
 from rodjax.numerics import results
 from rodjax.numerics.results import Result
 from rodjax.rods.state import State
+from rodjax.scenes.scene import Scene
 
 # The shortest step, over the longest allowed, and below what of that corners are expected.
 _SHORTEST, _GENTLE = 1e-5, 1e-2
@@ -40,7 +41,7 @@ class Settings(NamedTuple):
 
 
 def path(
-    scene_of: Callable[[Any], Any],
+    scene_of: Scene | Callable[[Any], Any],
     state: State,
     start: float,
     stop: float,
@@ -70,9 +71,10 @@ def path(
     that cancel each other is not seen: `longest_step` bounds what may be missed.
 
     Args:
-        scene_of: gives for a parameter p (an array, traced) a `Scene`, or a scene and the time at
-            which its schedules are evaluated: `lambda p: (scene, p)` is the path of what a scene's
-            schedules prescribe. Schedules count from `state`.
+        scene_of: a `Scene`, whose schedules' time is the parameter; or a function that gives for a
+            parameter p (an array, traced) a scene, or a scene and the time at which its schedules
+            are evaluated. Schedules count from `state`. What a function closes over is compiled
+            in: for many paths bind it, `jax.tree_util.Partial(function, arrays)`.
         state: the equilibrium of `scene_of(start)`, of `equilibrium` or of `placing`.
         start, stop: values of the parameter. Both bound the path.
         points: at most so many.
@@ -93,14 +95,13 @@ def path(
         SimulationError: the path could not be followed: STEP_TOO_SMALL, or what made steps fail.
 
     Example:
-        >>> def twisted(turns):  # a rod whose end is turned about its axis, and may slide along it
-        ...     turn = rx.Turn((0, 0, 1), rx.PiecewiseLinear([0.0, 1.0], [0.0, 2 * np.pi]))
-        ...     return rx.Scene(rod, rx.Clamped(), rx.Slider((0, 0, 1), rotation=turn)), turns
-        >>> path = rx.path(scene_of, state, 0.0, 3.0)
+        >>> turn = rx.Turn((1, 0, 0), rx.PiecewiseLinear([0.0, 3.0], [0.0, 6 * np.pi]))
+        >>> scene = rx.Scene(rod, rx.Clamped(), rx.Slider((1, 0, 0), rotation=turn))
+        >>> path = rx.path(scene, rx.placing(scene), 0.0, 3.0)
         >>> print(path)  # doctest: +SKIP
-        path of 41 equilibria, parameter 0 to 3: the parameter reached the value asked
+        path of 51 equilibria, parameter 0 to 3: the parameter reached the value asked
           unstable modes: 0, 2
-          branch at 1.78949
+          branch at 2.14921
     """
     begun = check_bounds(start, stop, unit)
     settings = check_settings(points, first_step, longest_step, modes, measures, targets)
@@ -122,7 +123,7 @@ def path(
             " holds, loads or makes the rod (as an array, float(p) is a constant)"
         )
     first = first_motions(len(state.position), settings.modes + 1, still.dtype)
-    point = walker.looked(step, None, first)
+    point = walker.looked(step, first)
     found = _Walk(walker, settings, (begun.start, begun.stop)).onward(point, 0.0)
     if throw:
         results.raise_if_failed(found.result, _where(found), found)
@@ -130,7 +131,7 @@ def path(
 
 
 def branch(
-    scene_of: Callable[[Any], Any],
+    scene_of: Scene | Callable[[Any], Any],
     point: CriticalPoint,
     bounds: tuple[float, float],
     *,
@@ -162,8 +163,13 @@ def branch(
         SimulationError: as of `path`.
 
     Example:
-        >>> point = rx.path(scene_of, state, 0.0, 3.0).critical[0]
-        >>> buckled = rx.branch(scene_of, point, (0.0, 3.0))
+        >>> turn = rx.Turn((1, 0, 0), rx.PiecewiseLinear([0.0, 3.0], [0.0, 6 * np.pi]))
+        >>> scene = rx.Scene(rod, rx.Clamped(), rx.Slider((1, 0, 0), rotation=turn))
+        >>> path = rx.path(scene, rx.placing(scene), 0.0, 3.0)
+        >>> point = path.critical[0]  # from which the rod buckles, back to fewer turns
+        >>> buckled = rx.branch(scene, point, (1.5, 3.0))
+        >>> bool(buckled.parameters[-1] == 1.5), int(buckled.unstable[1])
+        (True, 1)
     """
     check_instance(CriticalPoint, "give one of those that `path(...).critical` holds", point=point)
     if point.kind != "branch":
@@ -192,11 +198,10 @@ def branch(
     rows = jnp.pad(rows, ((0, x.shape[0] - rows.shape[0]), (0, 0)))
     length = jnp.sqrt(jnp.sum(motion_weight(equations, x) * rows**2))
     row = Tangent(rows / length, jnp.zeros_like(point.parameter))
-    begin = walker.step(point.parameter, place, 0.0, row)
     first = first_motions(len(place.position), settings.modes + 1, x.dtype)
     known = jnp.asarray(point.modes, x.dtype)[: settings.modes]
     first = first.at[: len(known)].set(known)
-    at_point = walker.looked(begin._replace(tangent=row), None, first)
+    at_point = walker.point(point.parameter, place, row, first)
     walk = _Walk(walker, settings, (low, high), leaves=True)
     found = walk.onward(at_point, 0.0)
     if throw:
@@ -234,7 +239,7 @@ class _Walk(NamedTuple):
                     break
                 continue
             ended = None if bound is None else self._end(bound)
-            after = walker.looked(step, before.look)
+            after = walker.looked(step, before.look.near.modes)
             target = self._target(before, after)
             if target is not None:
                 after, ended = self._at_target(before, after, length, target), PathEnd.TARGET
@@ -303,7 +308,7 @@ class _Walk(NamedTuple):
             step = walker.from_point(before, b)
             if int(step.result) != Result.SUCCESS:
                 break
-            best = walker.looked(step, before.look)
+            best = walker.looked(step, before.look.near.modes)
             at_a, at_b = at_b, lacking(best)
         return best
 

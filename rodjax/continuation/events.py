@@ -54,7 +54,7 @@ def locate(
         step = walker.from_point(before, middle)
         if int(step.result) != Result.SUCCESS:
             return None
-        point = walker.looked(step, before.look)
+        point = walker.looked(step, before.look.near.modes)
         if any(one.kind == event.kind for one in events(low[1], point)):
             high = (middle, point)
         else:
@@ -86,7 +86,7 @@ def _crossing(first: Point, second: Point, count: int):
     """Modes whose eigenvalues pass zero, with the nearest of them before and behind."""
     # those lowest in size on the side where they are further from motions that cost no energy
     sides = []
-    for point, sign in ((first, 1.0), (second, -1.0)):
+    for point in (first, second):
         values = np.asarray(point.look.near.values)
         apart = np.abs(values) > 3 * float(point.look.level)
         sides.append((values, np.flatnonzero(apart), point))

@@ -73,7 +73,9 @@ class Family(eqx.Module):
         scene, time = self.at(parameter)
         resistance = resistance_of(scene) * moving_weight(scene)
         equations = self._at_rest(scene, time, place, resistance)
-        return Derivative(equations, equations.linearize(x), x)
+        system = equations.linearize(x)
+        # which solver strands in contact need is known where each is solved
+        return Derivative(equations, system, system if scene.contact else system.eliminate(), x)
 
     def _at_rest(self, scene, time, place: Place, resistance=None) -> Equations[AtRest]:
         zero = jnp.zeros_like(place.position)
@@ -112,6 +114,17 @@ class Family(eqx.Module):
         return dataclasses.replace(state, joints=place.joints)
 
 
+def function_of(scene_of) -> Any:
+    """What `Family` takes, of what functions of paths are given: a scene is one at all times."""
+    if isinstance(scene_of, Scene):
+        return jax.tree_util.Partial(_at_time, scene_of)
+    return scene_of
+
+
+def _at_time(scene: Scene, time: Parameter):
+    return scene, time
+
+
 class Derivative(eqx.Module):
     """The derivative of equations at rest, solved with a resistance that it does not have.
 
@@ -122,11 +135,13 @@ class Derivative(eqx.Module):
 
     equations: Equations[AtRest]  # resisted
     system: Any
+    factors: Any  # of the system, for several right sides
     x: Rows
 
     def multiply(self, v: Rows) -> Rows:
         """Matrix times vector, without resistance."""
         resistance = self.equations.scheme.resistance
+        assert resistance is not None
         moved = self.equations.change(self.equations.lift(self.x, v))
         return self.system.multiply(v) - balanced(self.equations, resistance * moved, v)
 
@@ -136,16 +151,14 @@ class Derivative(eqx.Module):
 
     def solve(self, right: Rows) -> Rows:
         """Solution, with resistance."""
-        return self.system.solve(right)
+        return self.factors.solve(right)
 
     def solve_transpose(self, right: Rows) -> Rows:
         """Solution of the transposed system, with resistance."""
         return self.system.solve_transpose(right)
 
 
-def balanced(
-    equations: Equations[AtRest], wrench: Float[Array, "nodes 6"], like: Rows
-) -> Rows:
+def balanced(equations: Equations[AtRest], wrench: Float[Array, "nodes 6"], like: Rows) -> Rows:
     """Rows of a right side: a wrench on the nodes [N, N m], nothing where they are held."""
     rows = wrench / equations.scales.wrench[None]
     nodes = equations.scene.held_nodes

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import jax.numpy as jnp
 import numpy as np
 
-from rodjax.continuation.family import Family
+from rodjax.continuation.family import Family, function_of
 from rodjax.equations.rigid_motions import check_held
 from rodjax.inputs.validation import all_known, check_finite, check_integer, check_positive
 from rodjax.rods.state import State
@@ -63,10 +63,11 @@ def checked_family(scene_of, state: State, start: float) -> Family:
     Raises:
         ValueError: they have none, or the function gives no scenes.
     """
+    scene_of = function_of(scene_of)
     if not callable(scene_of):
         raise ValueError(
-            "scene_of: give a function of the parameter that returns a Scene, or a Scene and a"
-            " time: lambda p: (scene, p)"
+            "scene_of: give a function of the parameter that returns a Scene, or a Scene whose"
+            " schedules' time is the parameter"
         )
     family = Family(scene_of, state)
     found = scene_of(jnp.asarray(start, state.position.dtype))

@@ -62,7 +62,8 @@ class SingularPoint(eqx.Module):
         def multiply(both):
             v, g = both[:-1], both[-1, 0]
             moved = jax.jvp(residual, (x,), (v,))[1]
-            return _packed(moved + g * self.column, jnp.sum(self.row * v), both[-1, 1], both[-1, 2:])
+            along = jnp.sum(self.row * v)
+            return _packed(moved + g * self.column, along, both[-1, 1], both[-1, 2:])
 
         right = _packed(jnp.zeros_like(x), jnp.ones_like(p), jnp.zeros_like(p))
         found = _solved(multiply, self._bordered(x, p), right)
@@ -78,8 +79,12 @@ class SingularPoint(eqx.Module):
         x, p = z[:-1], self.parameter(z)
         slope = self.unit * self.family.slope(p, self.place, x)
         g = lambda x, p: self.singular(x, p)[::-1]
-        (_, null), (by_x, by_p) = jax.value_and_grad(g, (0, 1), has_aux=True)(x, p)
-        return _Extended(self._bordered(x, p), slope, by_x, self.unit * by_p, null, self.branches)
+        (g, null), (by_x, by_p) = jax.value_and_grad(g, (0, 1), has_aux=True)(x, p)
+        bordered = self._bordered(x, p)
+        response, beta = bordered.solve(-slope, jnp.zeros_like(g))
+        columns, betas = jnp.stack([response, null]), jnp.stack([beta, g])
+        by_p = self.unit * by_p
+        return _Extended(bordered, slope, by_x, by_p, columns, betas, self.branches)
 
     def lift(self, z, dz):
         """Increment of z for solved increments."""
@@ -93,7 +98,9 @@ class _Extended(eqx.Module):
     slope: Rows  # of R by the parameter over its unit
     by_x: Rows  # of g
     by_p: Float[Array, ""]
-    null: Rows  # v
+    # what the parameter and a motion along c do to x, the second by v, and to beta, by g
+    columns: Float[Array, "2 rows 9"]
+    betas: Float[Array, "2"]
     branches: bool = eqx.field(static=True)
 
     def multiply(self, dz):
@@ -106,30 +113,27 @@ class _Extended(eqx.Module):
     def solve(self, right):
         """Solution, by two numbers: the parameter, and how far x moves along c."""
         f, of_g, second = right[:-1], right[-1, 0], right[-1, 1]
-        (x, beta), (columns, betas), matrix = self.bordered.solve(f, 0 * of_g), *self._numbers()
+        x, beta = self.bordered.solve(f, jnp.zeros_like(of_g))
         second = second if self.branches else second - beta
-        numbers = jnp.linalg.solve(matrix, jnp.stack([of_g - jnp.sum(self.by_x * x), second]))
-        dx = x + jnp.einsum("i,inr->nr", numbers, columns)
-        return _packed(dx, numbers[0], beta + jnp.sum(numbers * betas), right[-1, 2:])
+        known = jnp.stack([of_g - jnp.sum(self.by_x * x), second])
+        numbers = jnp.linalg.solve(self._numbers(), known)
+        dx = x + jnp.einsum("i,inr->nr", numbers, self.columns)
+        return _packed(dx, numbers[0], beta + jnp.sum(numbers * self.betas), right[-1, 2:])
 
     def solve_transpose(self, right):
         """Solution of the transposed system."""
         x, p, beta = right[:-1], right[-1, 0], right[-1, 1]
-        (columns, betas), matrix = self._numbers()
-        asked = jnp.einsum("nr,inr->i", x, columns) + beta * betas
-        of_g, second = jnp.linalg.solve(matrix.T, asked.at[0].add(p))
+        asked = jnp.einsum("nr,inr->i", x, self.columns) + beta * self.betas
+        of_g, second = jnp.linalg.solve(self._numbers().T, asked.at[0].add(p))
         beta = beta if self.branches else beta - second
         f, _ = self.bordered.solve_transpose(x - of_g * self.by_x, beta)
         return _packed(f, of_g, second, right[-1, 2:])
 
-    def _numbers(self):
-        """What the parameter and a motion along c do to x and beta, and the equations for both."""
-        zero, one = jnp.zeros_like(self.by_p), jnp.ones_like(self.by_p)
-        right = jnp.stack([-self.slope, 0 * self.slope]), jnp.stack([zero, one])
-        columns, betas = jax.vmap(self.bordered.solve)(*right)
-        first = jnp.einsum("nr,inr->i", self.by_x, columns).at[0].add(self.by_p)
-        second = jnp.stack([zero, one]) if self.branches else betas
-        return (columns, betas), jnp.stack([first, second])
+    def _numbers(self) -> Float[Array, "2 2"]:
+        """The equations for both numbers."""
+        first = jnp.einsum("nr,inr->i", self.by_x, self.columns).at[0].add(self.by_p)
+        second = jnp.asarray([0.0, 1.0], first.dtype) if self.branches else self.betas
+        return jnp.stack([first, second])
 
 
 def _solved(multiply, bordered: Bordered, right):

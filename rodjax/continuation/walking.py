@@ -1,4 +1,4 @@
-"""Steps from one point of a path to the next, and to where something is met (not in traced code)."""
+"""Steps from one point of a path to the next, and to where something is met."""
 
 from typing import NamedTuple
 
@@ -9,6 +9,7 @@ import numpy as np
 from rodjax.continuation.arc_step import Aim, ArcStep, Tangent, arc_step
 from rodjax.continuation.family import Family, Place, motion_weight
 from rodjax.continuation.looking import Look, look
+from rodjax.continuation.near_modes import Motions
 from rodjax.numerics.results import Result
 
 # Error left by the last increment of a step, in rotations and displacements [rad].
@@ -72,11 +73,14 @@ class Walker(NamedTuple):
         along = of_x + point.tangent.parameter * found.tangent.parameter
         return found._replace(along=along)
 
-    def looked(self, step: ArcStep, before: Look | None, first=None) -> Point:
-        """The point that a step came to, modes looked for from those of the point before."""
-        first = before.near.modes if before is not None else first
-        found = look(self.family, step.parameter, step.place, first, self.measures)
-        return Point(step.parameter, step.place, step.tangent, found)
+    def looked(self, step: ArcStep, first: Motions) -> Point:
+        """The point that a step came to; `first` is what modes are looked for from."""
+        return self.point(step.parameter, step.place, step.tangent, first)
+
+    def point(self, parameter, place: Place, tangent: Tangent, first: Motions) -> Point:
+        """A point with what is found there."""
+        found = look(self.family, parameter, place, first, self.measures)
+        return Point(parameter, place, tangent, found)
 
 
 def fits(step: ArcStep, length: float, gently: bool) -> bool:

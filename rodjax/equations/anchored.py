@@ -23,7 +23,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from rodjax.equations.border import Border, BorderedSystem, Vector
+from rodjax.equations.border import Border, BorderedSystem, EliminatedBorder, Vector
 from rodjax.equations.coupled import CoupledSystem
 from rodjax.numerics.block_tridiagonal import BlockTridiagonal
 from rodjax.scenes.holds import Node, impose, rows_at, with_part
@@ -53,10 +53,20 @@ class AnchoredSystem(eqx.Module):
 
     def solve(self, b: Float[Array, "nodes 9"]) -> Float[Array, "nodes 9"]:
         """Solution of the system."""
+        return self._solved(self._bordered(), b)
+
+    def _solved(
+        self, by: BorderedSystem | EliminatedBorder, b: Float[Array, "nodes 9"]
+    ) -> Float[Array, "nodes 9"]:
+        """Solution by the system with its border, or by factors of that."""
         given = self._rows(b)
         inside = self._inside(given)
         right = Vector(self._replaced(b, inside), jnp.ravel(given - inside))
-        return self._bordered().solve(right).nodes
+        return by.solve(right).nodes
+
+    def eliminate(self) -> "EliminatedAnchored":
+        """The system, without contact or with some, ready for several right sides."""
+        return EliminatedAnchored(self, self._bordered().eliminate())
 
     def solve_once(self, b: Float[Array, "nodes 9"]) -> Float[Array, "nodes 9"]:
         """As `solve`."""
@@ -100,6 +110,17 @@ class AnchoredSystem(eqx.Module):
         return jnp.einsum("oij,oj->oi", inside[self._others], rows)
 
 
+class EliminatedAnchored(eqx.Module):
+    """Factors of an anchored system."""
+
+    system: AnchoredSystem
+    eliminated: EliminatedBorder
+
+    def solve(self, b: Float[Array, "nodes 9"]) -> Float[Array, "nodes 9"]:
+        """Solution for one right side."""
+        return self.system._solved(self.eliminated, b)
+
+
 class AnchoredBordered(eqx.Module):
     """The system of rods whose nodes are held, with a border of further multipliers.
 
@@ -111,12 +132,20 @@ class AnchoredBordered(eqx.Module):
 
     def solve(self, b: Vector) -> Vector:
         """Solution of the system."""
+        return self._solved(self._whole(), b)
+
+    def _solved(self, by: BorderedSystem | EliminatedBorder, b: Vector) -> Vector:
+        """Solution by the system with its whole border, or by factors of that."""
         system = self.system
         given = system._rows(b.nodes)
         inside = system._inside(given)
         right = jnp.concatenate([jnp.ravel(given - inside), b.border])
-        found = self._whole().solve(Vector(system._replaced(b.nodes, inside), right))
+        found = by.solve(Vector(system._replaced(b.nodes, inside), right))
         return Vector(found.nodes, found.border[-len(b.border) :])
+
+    def eliminate(self) -> "EliminatedWhole":
+        """The system ready for several right sides."""
+        return EliminatedWhole(self, self._whole().eliminate())
 
     def solve_transpose(self, b: Vector) -> Vector:
         """Solution of the transposed system."""
@@ -132,6 +161,17 @@ class AnchoredBordered(eqx.Module):
         system = self.system
         held = system.projectors, system.nodes, system.anchors
         return extended(system._bordered(), self.border, *held)
+
+
+class EliminatedWhole(eqx.Module):
+    """Factors of an anchored system with a further border."""
+
+    system: AnchoredBordered
+    eliminated: EliminatedBorder
+
+    def solve(self, b: Vector) -> Vector:
+        """Solution for one right side."""
+        return self.system._solved(self.eliminated, b)
 
 
 def extended(

@@ -10,7 +10,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from rodjax.equations.anchored import AnchoredBordered
+from rodjax.equations.anchored import AnchoredBordered, EliminatedWhole
 from rodjax.equations.border import BorderedSystem, EliminatedBorder, Vector
 from rodjax.equations.joint_terms import gathered, spread
 
@@ -63,16 +63,15 @@ class JointedSystem(eqx.Module):
         return JointedSystem(of_nodes.transpose(), self.joints)
 
     def eliminate(self) -> "EliminatedJoints":
-        """The system, of nodes that are not anchored, ready for several right sides."""
-        of_nodes: Any = self.bordered
-        return EliminatedJoints(self, of_nodes.eliminate())
+        """The system ready for several right sides."""
+        return EliminatedJoints(self, self.bordered.eliminate())
 
 
 class EliminatedJoints(eqx.Module):
     """Factors of the nodes' system, and its response to the joints."""
 
     whole: JointedSystem
-    eliminated: EliminatedBorder
+    eliminated: EliminatedBorder | EliminatedWhole
 
     def solve(self, b: Rows) -> Rows:
         """Solution for one right side."""

@@ -1,0 +1,342 @@
+"""Paths of equilibria: thresholds, localised buckles, the twisted rod from straight to loop, rings.
+
+    python experiments/bifurcations.py [--elements N] [--parts NAME ...] [--quick] [--out DIR]
+
+Parts:
+    thresholds  clamped column, clamped rod under torsion, the paper's necked rod, refined grids
+    elastica    the buckled column against the closed form, far beyond its threshold
+    example     turns against torque and shortening of the necked rod, from straight to its loop
+    localised   a long rod under tension and torque against Coyne's localised buckle
+    ring        a DNA minicircle past Michell's threshold to the figure 8
+    profile     diameters that raise the critical turns at fixed mass, by gradients of `rx.critical`
+
+Writes DIR/bifurcations.png and DIR/summary.json.
+"""
+
+import argparse
+import dataclasses
+import json
+import time
+from pathlib import Path
+
+import _settings  # noqa: F401 (first)
+import jax
+import jax.numpy as jnp
+import matplotlib.pyplot as plt
+import numpy as np
+from example import NECK
+from scipy.special import ellipe, ellipk
+
+import rodjax as rx
+
+TWIST = 8.986819  # M L/A of clamped ends without tension, tan x = x with x = M L/2A
+NECKED = 7.531815  # of the example's neck
+COLUMN = 4 * np.pi**2  # P L^2/A of clamped ends
+RATIO = 0.8  # torsional over bending stiffness
+AXIS = (0.0, 0.0, 1.0)
+
+
+def rod_of(elements: int, necked: bool = False, length: float = 1.0) -> rx.Rod:
+    """A rod of bending stiffness 1 (of its thick part) and torsional stiffness `RATIO`."""
+
+    def section(s):
+        inside = necked & (s > NECK[0] * length) & (s < NECK[1] * length)
+        fourth = np.where(inside, 0.9, 1.0) ** 4
+        return rx.Section((fourth, fourth, RATIO * fourth), mass=1.0)
+
+    return rx.straight_rod(length, elements, section)
+
+
+def turned(rod: rx.Rod, loads=()) -> rx.Scene:
+    """A clamped rod whose other end is turned by 2 pi p at time p, and may slide along the axis."""
+    far = 20.0
+    turn = rx.PiecewiseLinear([-far, far], [-2 * np.pi * far, 2 * np.pi * far])
+    return rx.Scene(rod, rx.Clamped(), rx.Slider(AXIS, rotation=rx.Turn(AXIS, turn)), loads=loads)
+
+
+def torque(scene, state):
+    """The torque about the axis that the turned end feels."""
+    return rx.energy.reactions(scene, state).torque[1, 2]
+
+
+def shortening(scene, state):
+    """How far the ends have come together."""
+    return jnp.sum(scene.rod.length) - state.position[-1, 2] + state.position[0, 2]
+
+
+MEASURES = {"torque": torque, "shortening": shortening}
+
+
+def pressed(rod: rx.Rod):
+    """Scenes of a clamped column under a thrust."""
+
+    return jax.tree_util.Partial(_pressed, rod)
+
+
+def _pressed(rod, thrust):
+    force = rx.Constant(jnp.stack([0.0 * thrust, 0.0 * thrust, -thrust]))
+    load = rx.PointLoad(-1, force=force)
+    return rx.Scene(rod, rx.Clamped(), rx.Slider(AXIS), loads=(load,))
+
+
+def first_branch(found: rx.EquilibriumPath) -> rx.CriticalPoint:
+    """The first branch point of a path."""
+    return next(one for one in found.critical if one.kind == "branch")
+
+
+def thresholds(grids, out: dict) -> None:
+    """Critical loads against the continuous theory, on refined grids."""
+    for elements in grids:
+        rod, necked = rod_of(elements), rod_of(elements, necked=True)
+        state = rx.placing(rx.Scene(rod, rx.Clamped()))
+        column = rx.path(pressed(rod), state, 30.0, 45.0, longest_step=0.5)
+        found = {"column": float(first_branch(column).parameter) / COLUMN - 1}
+        for name, one, reference in (("twist", rod, TWIST), ("neck", necked, NECKED)):
+            scene = turned(one)
+            walked = rx.path(scene, state, 0.0, 2.2, longest_step=0.4)
+            point = first_branch(walked)
+            moment = float(rx.energy.reactions(scene, point.state).torque[1, 2])
+            found[name] = abs(moment) / reference - 1
+        out[str(elements)] = found
+        print(
+            f"{elements:4d} elements: off theory by"
+            + ",".join(f" {value:.2e} ({name})" for name, value in found.items()),
+            flush=True,
+        )
+
+
+def elastica(elements: int) -> dict:
+    """The buckled column against the clamped elastica, P = 16 K(m)^2 A/L^2 (Love 1927)."""
+    rod = rod_of(elements)
+    scene_of = pressed(rod)
+    state = rx.placing(rx.Scene(rod, rx.Clamped()))
+    straight = rx.path(scene_of, state, 30.0, 45.0, longest_step=0.5)
+    point = first_branch(straight)
+    buckled = rx.branch(scene_of, point, (30.0, 120.0), measures={"shortening": shortening})
+    load, short = buckled.parameters, np.asarray(buckled.measures["shortening"])
+    m = np.array([_modulus(value) for value in load])
+    # of the continuous rod at the same shortening: the load that bends it so far
+    exact = 2 - 2 * ellipe(m) / ellipk(m)
+    error = np.max(np.abs(short - exact))
+    print(
+        f"elastica: {len(buckled)} points to {load[-1]:.1f} A/L^2, shortened by {short[-1]:.4f} L;"
+        f" off the closed form by {error:.1e} L at most",
+        flush=True,
+    )
+    return {"load": load.tolist(), "shortening": short.tolist(), "largest_error": float(error)}
+
+
+def _modulus(load: float) -> float:
+    """m of 16 K(m)^2 = load."""
+    low, high = 0.0, 1 - 1e-12
+    for _ in range(200):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if 16 * ellipk(middle) ** 2 < load else (low, middle)
+    return low
+
+
+def example(elements: int) -> dict:
+    """The paper's rod with its neck, turned from straight, and where it buckles to."""
+    scene = turned(rod_of(elements, necked=True))
+    state = rx.placing(scene)
+    began = time.perf_counter()
+    straight = rx.path(scene, state, 0.0, 2.2, measures=MEASURES)
+    first = first_branch(straight)
+    loop = rx.branch(scene, first, (0.0, 2.2), measures=MEASURES)
+    seconds = time.perf_counter() - began
+    stable = [int(straight.unstable[0]), int(loop.unstable[1])]
+    print(
+        f"example: straight until {float(first.parameter):.5f} turns; then {loop.end.value} at"
+        f" {loop.parameters[-1]:.4f} turns, shortened by {loop.measures['shortening'][-1]:.4f} L,"
+        f" {stable[1]} unstable mode(s) beside; {seconds:.0f} s with compilation",
+        flush=True,
+    )
+    paths = {"straight": straight, "loop": loop}
+    return {name: _curves(one) for name, one in paths.items()} | {"seconds": seconds}
+
+
+def _curves(found: rx.EquilibriumPath) -> dict:
+    curves = {
+        "parameter": found.parameters.tolist(),
+        "unstable": found.unstable.tolist(),
+        "energy": found.energy.tolist(),
+        "critical": [(one.kind, float(one.parameter)) for one in found.critical],
+        "end": found.end.name,
+    }
+    return curves | {name: np.asarray(values).tolist() for name, values in found.measures.items()}
+
+
+def localised(elements: int, length: float = 20.0) -> dict:
+    """A long rod of unit tension and stiffness against Coyne's localised buckle."""
+    rod = rod_of(elements, length=length)
+    pull = rx.PointLoad(-1, force=rx.Constant((0.0, 0.0, 1.0)))
+    scene = turned(rod, (pull,))
+    state = rx.equilibrium(scene, rx.placing(scene))[0]
+    straight = rx.path(scene, state, 0.0, 12.0, longest_step=0.5)
+    found = rx.branch(
+        scene, first_branch(straight), (0.0, 12.0), measures=MEASURES, longest_step=0.1
+    )
+    moment = np.abs(np.asarray(found.measures["torque"]))
+    short = np.asarray(found.measures["shortening"])
+    # where the buckle is away from the ends and the ends are straight
+    cosine = np.minimum(moment / 2, 1.0)
+    exact_short = 4 * np.sqrt(1 - cosine**2)
+    exact_turns = (moment * length / RATIO + 4 * np.arccos(cosine)) / (2 * np.pi)
+    inside = (cosine < 0.9) & (cosine > 0.1)
+    off = {
+        "shortening": float(np.max(np.abs(short / np.maximum(exact_short, 1e-9) - 1)[inside])),
+        "turns": float(np.max(np.abs(found.parameters / exact_turns - 1)[inside])),
+    }
+    print(
+        f"localised: L/sqrt(A/T) = {length:g}, buckles at {float(found.parameters[0]):.4f} turns;"
+        f" off Coyne's shortening by {off['shortening']:.1e}, his turns by {off['turns']:.1e}",
+        flush=True,
+    )
+    exact = {"exact_turns": exact_turns.tolist(), "exact_shortening": exact_short.tolist()}
+    return _curves(found) | exact | {"off": off}
+
+
+def ring(elements: int) -> dict:
+    """A naturally straight rod closed to a ring, its linking number raised past Michell's."""
+    length, bending, torsion = 114.0, 50 * 4.114, 100 * 4.114
+    section = rx.Section(stiffness=(bending, bending, torsion), diameter=2.0)
+    michell = np.sqrt(3) * bending / torsion
+    weld = (rx.Weld(rx.Point(0), rx.Point(-1)),)
+    still = rx.ring(length, elements, section, turns=0.0)
+    # what turns the linking number is the natural twist: kappa0 of -2 pi p/L winds the ring by p
+    tangent = jnp.asarray([0.0, 0.0, -2 * np.pi / length])
+
+    def scene_of(turns):
+        rod = dataclasses.replace(still, kappa0=still.kappa0 + turns * tangent[None])
+        return rx.Scene(rod, rx.Clamped(), joints=weld)
+
+    state, _ = rx.equilibrium(scene_of(0.0), rx.placing(scene_of(0.0)), relax=False)
+    plane = rx.path(scene_of, state, 0.0, 1.2 * michell, longest_step=0.3, modes=6)
+    point = first_branch(plane)
+    off = float(point.parameter) / michell - 1
+    print(f"ring: {elements} elements, off Michell's threshold by {off:.1e}", flush=True)
+    return {"threshold": float(point.parameter), "off": off}
+
+
+def profile(elements: int, rounds: int) -> dict:
+    """Diameters of the same mass that raise the critical turns of a clamped rod most."""
+    rod = rod_of(elements)
+    state = rx.placing(rx.Scene(rod, rx.Clamped()))
+    waves = np.cos(2 * np.pi * np.arange(1, 5)[:, None] * (np.arange(elements) + 0.5) / elements)
+
+    def scenes(amplitudes):
+        """Diameters d(s), the integral of d^2 kept."""
+        shape = 1.0 + amplitudes @ jnp.asarray(waves)
+        fourth = (shape / jnp.sqrt(jnp.mean(shape**2))) ** 4
+        own = dataclasses.replace(rod, stiffness=jnp.stack([fourth, fourth, RATIO * fourth], 1))
+        return lambda turns: (turned(own), turns)
+
+    at = jnp.zeros(len(waves))
+    point = first_branch(rx.path(scenes(at), state, 0.0, 2.2, longest_step=0.4))
+
+    @jax.jit
+    def moment(amplitudes, point):
+        found = rx.critical(scenes(amplitudes), point)
+        scene = scenes(amplitudes)(found.parameter)[0]
+        return jnp.abs(rx.energy.reactions(scene, found.state).torque[1, 2]), found
+
+    step = jax.jit(jax.value_and_grad(moment, has_aux=True))
+    history = []
+    for _ in range(rounds):
+        (value, point), slope = step(at, point)
+        history.append(float(value))
+        at = at + 0.02 * slope / jnp.linalg.norm(slope)
+    print(f"profile: critical torque {history[0]:.4f} to {history[-1]:.4f} A/L", flush=True)
+    return {"torque": history, "amplitudes": at.tolist()}
+
+
+def figure(path: Path, found: dict) -> None:
+    """What was found, a panel each."""
+    fig, axes = plt.subplots(2, 3, figsize=(14, 8), layout="constrained")
+    axes = axes.ravel()
+    if "thresholds" in found:
+        n = np.array([int(key) for key in found["thresholds"]])
+        for name in ("column", "twist", "neck"):
+            errors = [abs(found["thresholds"][str(i)][name]) for i in n]
+            axes[0].loglog(n, errors, "o-", label=name)
+        axes[0].loglog(n, 1.0 / n**2.0, "k:", label="second order")
+        axes[0].set(xlabel="elements", ylabel="critical load off theory, relative")
+        axes[0].legend(fontsize=8)
+    if "elastica" in found:
+        one = found["elastica"]
+        load = np.array(one["load"])
+        m = np.array([_modulus(value) for value in load])
+        axes[1].plot(one["shortening"], load, "o", ms=3, label="path")
+        axes[1].plot(2 - 2 * ellipe(m) / ellipk(m), load, "k-", lw=1, label="elastica")
+        axes[1].set(xlabel="shortening [L]", ylabel="thrust [A/L$^2$]")
+        axes[1].legend(fontsize=8)
+    if "example" in found:
+        for name in ("straight", "loop"):
+            _stable_dashed(axes[2], found["example"][name], "parameter", "torque", name)
+            _stable_dashed(axes[3], found["example"][name], "parameter", "shortening", name)
+        axes[2].set(xlabel="turns", ylabel="torque [A/L]", title="the paper's rod")
+        axes[3].set(xlabel="turns", ylabel="shortening [L]", title="dashed: unstable")
+        axes[2].legend(fontsize=8)
+    if "localised" in found:
+        one = found["localised"]
+        axes[4].plot(one["parameter"], one["shortening"], "o", ms=2, label="path")
+        axes[4].plot(one["exact_turns"], one["exact_shortening"], "k-", lw=1, label="Coyne")
+        axes[4].set(xlabel="turns", ylabel="shortening [sqrt(A/T)]", title="localised buckle")
+        axes[4].legend(fontsize=8)
+    if "profile" in found:
+        axes[5].plot(found["profile"]["torque"], "o-")
+        axes[5].set(xlabel="round", ylabel="critical torque [A/L]", title="profile of fixed mass")
+    for axis in axes:
+        axis.set_visible(axis.has_data())
+    fig.savefig(path, dpi=140)
+    plt.close(fig)
+
+
+def _stable_dashed(axes, curve: dict, x: str, y: str, label: str) -> None:
+    """A curve, dashed where it is unstable."""
+    horizontal, vertical = np.array(curve[x]), np.abs(np.array(curve[y]))
+    unstable = np.array(curve["unstable"]) > 0
+    (line,) = axes.plot(horizontal, np.where(unstable, np.nan, vertical), label=label)
+    axes.plot(horizontal, np.where(unstable, vertical, np.nan), "--", color=line.get_color())
+
+
+PARTS = ("thresholds", "elastica", "example", "localised", "ring", "profile")
+
+
+def main(argv=None) -> int:
+    """Run the experiment."""
+    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser.add_argument("--elements", type=int, metavar="N", help="128 (24 with --quick)")
+    parser.add_argument("--parts", nargs="+", choices=PARTS, help="all of them")
+    parser.add_argument("--quick", action="store_true", help="coarse and short, to try it out")
+    parser.add_argument("--out", type=Path, default=Path("results/bifurcations"), metavar="DIR")
+    options = parser.parse_args(argv)
+    elements = options.elements or (24 if options.quick else 128)
+    parts = options.parts or (("thresholds", "example") if options.quick else PARTS)
+    options.out.mkdir(parents=True, exist_ok=True)
+    found: dict = {"elements": elements}
+
+    def keep():
+        (options.out / "summary.json").write_text(json.dumps(found, indent=1))
+
+    for part in parts:
+        if part == "thresholds":
+            grids = (16, elements) if options.quick else (32, 64, 128, 256, 512)
+            thresholds(grids, found.setdefault("thresholds", {}))
+        elif part == "elastica":
+            found[part] = elastica(elements)
+        elif part == "example":
+            found[part] = example(elements)
+        elif part == "localised":
+            found[part] = localised(2 * elements)
+        elif part == "ring":
+            found[part] = ring(elements)
+        else:
+            found[part] = profile(min(elements, 64), 20)
+        keep()
+    figure(options.out / "bifurcations.png", found)
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
