@@ -47,6 +47,7 @@ def twisted():
     return scene, rx.path(scene, rx.placing(scene), 0.0, 2.5, measures={"short": shortening})
 
 
+@pytest.mark.slow
 def test_a_rod_under_torsion_stays_straight_and_loses_stability_twice(twisted):
     _, path = twisted
     assert path.end is rx.PathEnd.STOP and path.result == 0
@@ -63,6 +64,7 @@ def test_a_rod_under_torsion_stays_straight_and_loses_stability_twice(twisted):
     np.testing.assert_allclose(path.energy, 0.5 * torque**2 / RATIO, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_eigenvalues_are_those_of_stability(twisted):
     scene, path = twisted
     i = int(np.argmin(np.abs(path.parameters - 1.6)))
@@ -74,6 +76,7 @@ def test_eigenvalues_are_those_of_stability(twisted):
     assert path.eigenvalues.shape == (len(path), 4)
 
 
+@pytest.mark.slow
 def test_what_is_printed_says_where_it_branches(twisted):
     said = str(twisted[1])
     assert "the parameter reached the value asked" in said
@@ -203,10 +206,9 @@ def test_an_imperfection_makes_a_fold_whose_load_has_derivatives(twisted):
     h = 1e-3
     differences = [(load(lean + k * h) - load(lean - k * h)) / (2 * k * h) for k in (2, 1)]
     assert float(slope) == pytest.approx(float(4 * differences[1] - differences[0]) / 3, rel=1e-6)
-    with pytest.raises(ValueError, match="point: is a fold"):
-        rx.branch(scenes, top, (0.0, 2.5))
 
 
+@pytest.mark.slow
 def test_a_target_ends_a_path_where_a_measure_has_it(twisted):
     scene, path = twisted
     short = lambda scene, state: rx.energy.reactions(scene, state).torque[1, 2]
@@ -217,38 +219,48 @@ def test_a_target_ends_a_path_where_a_measure_has_it(twisted):
     assert found.parameters[-1] == pytest.approx(5.0 / (2 * np.pi * RATIO), abs=1e-9)
 
 
-def test_wrong_arguments_are_told(twisted):
-    scene, path = twisted
-    start = path.state(0)
+def test_wrong_arguments_are_told():
+    scene = turned(rod_of(4))
+    start = rx.placing(scene)
+    modes, one = jnp.ones((2, 5, 6)), jnp.ones(())
+    point = rx.CriticalPoint("branch", 1.79 * one, start, modes, one, start, jnp.asarray(0))
+    fold = dataclasses.replace(point, kind="fold")
     cases = [
         (lambda: rx.path(scene, start, 1.0, 1.0), "stop: must differ from start"),
-        (lambda: rx.path(None, start, 0.0, 1.0), "scene_of: give a function"),
         (lambda: rx.path(lambda p: 3.0, start, 0.0, 1.0), "scene_of: must return a Scene"),
         (lambda: rx.path(scene, start, 0.0, 1.0, points=1), "points"),
         (lambda: rx.path(scene, start, 0.0, 1.0, modes=1), "modes"),
         (lambda: rx.path(scene, start, 0.0, 1.0, measures={"a": 1}), "give a function"),
         (lambda: rx.path(scene, start, 0.0, 1.0, targets={"a": 1}), "is none of the measures"),
-        (lambda: rx.path(scene, start, 0.3, 2.0), "state: is no equilibrium"),
         (lambda: rx.critical(scene, start), "point"),
-        (lambda: rx.branch(scene, path.critical[0], (0.0, 1.0)), "do not hold the branch point"),
-        (lambda: rx.branch(scene, path.critical[0], (0.0, 2.0), way=2), "way: must be 1 or -1"),
-        (lambda: rx.branch(scene, path.critical[0], (0.0, 2.0), mode=5), "mode: the point has 2"),
+        (lambda: rx.branch(scene, fold, (0.0, 2.0)), "point: is a fold"),
+        (lambda: rx.branch(scene, point, (0.0, 1.0)), "do not hold the branch point"),
+        (lambda: rx.branch(scene, point, (0.0, 2.0), way=2), "way: must be 1 or -1"),
+        (lambda: rx.branch(scene, point, (0.0, 2.0), mode=5), "mode: the point has 2"),
     ]
     for call, message in cases:
         with pytest.raises(ValueError, match=message):
             call()
 
 
+def test_what_remembers_has_no_paths():
+    scene = turned(rod_of(4))
+    plastic = rx.ElasticPlastic(yield_moment=1.0, hardening=0.1)
+    rod = dataclasses.replace(scene.rod, material=plastic)
+    with pytest.raises(ValueError, match="depend on how it was reached"):
+        rx.path(dataclasses.replace(scene, rod=rod), rx.placing(scene), 0.0, 1.0)
+
+
+@pytest.mark.slow
+def test_a_start_that_is_no_equilibrium_is_told(twisted):
+    scene, path = twisted
+    with pytest.raises(ValueError, match="state: is no equilibrium"):
+        rx.path(scene, path.state(5), 0.0, 2.0)
+
+
+@pytest.mark.slow
 def test_a_parameter_without_influence_is_told(twisted):
     scene, path = twisted
     still = dataclasses.replace(scene, last_end=rx.Slider(AXIS))
     with pytest.raises(ValueError, match="nothing in the scene changes with the parameter"):
         rx.path(still, path.state(0), 0.0, 1.0)
-
-
-def test_what_remembers_has_no_paths(twisted):
-    scene, path = twisted
-    plastic = rx.ElasticPlastic(yield_moment=1.0, hardening=0.1)
-    rod = dataclasses.replace(scene.rod, material=plastic)
-    with pytest.raises(ValueError, match="depend on how it was reached"):
-        rx.path(dataclasses.replace(scene, rod=rod), path.state(0), 0.0, 1.0)

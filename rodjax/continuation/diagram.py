@@ -5,6 +5,7 @@ from typing import Any, Literal
 
 import equinox as eqx
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
@@ -110,7 +111,7 @@ class EquilibriumPath(eqx.Module):
 
     def state(self, index: int) -> State:
         """The state of one point."""
-        return jax.tree.map(lambda leaf: leaf[index], self.states)
+        return jax.tree.map(lambda leaf: jnp.asarray(leaf[index]), self.states)
 
     def __len__(self) -> int:
         return len(self.parameters)

@@ -184,9 +184,10 @@ def branch(
     at = float(point.parameter)
     if not low <= at <= high:
         raise ValueError(f"bounds: {bounds} do not hold the branch point at {at:g}")
-    share = np.eye(len(point.modes))[mode] if isinstance(mode, int) else np.asarray(mode, float)
-    if share.shape != (len(point.modes),) or not np.any(share):
-        raise ValueError(f"mode: the point has {len(point.modes)} mode(s), got {mode}")
+    count = len(point.modes)
+    share = np.asarray(np.arange(count) == mode if isinstance(mode, int) else mode, float)
+    if share.shape != (count,) or not np.any(share):
+        raise ValueError(f"mode: the point has {count} mode(s), got {mode}")
     family = checked_family(scene_of, point.origin, at)
     walker = Walker(family, point.unit, dict(measures or {}))
     place = Place.of(point.state)
