@@ -9,6 +9,7 @@ import pytest
 from scipy.special import ellipe, ellipk
 
 import rodjax as rx
+from rodjax.continuation.path_arguments import check_settings
 
 TWIST = 8.986819  # M L/A of clamped ends without tension
 RATIO = 0.8  # torsional over bending stiffness
@@ -230,9 +231,8 @@ def test_wrong_arguments_are_told():
         (lambda: rx.path(lambda p: 3.0, start, 0.0, 1.0), "scene_of: must return a Scene"),
         (lambda: rx.path(scene, start, 0.0, 1.0, points=1), "points"),
         (lambda: rx.path(scene, start, 0.0, 1.0, modes=1), "modes"),
-        (lambda: rx.path(scene, start, 0.0, 1.0, measures={"a": 1}), "give a function"),
+        (lambda: check_settings(2, 0.1, 0.1, 4, {"a": 1}, None), "give a function"),
         (lambda: rx.path(scene, start, 0.0, 1.0, targets={"a": 1}), "is none of the measures"),
-        (lambda: rx.critical(scene, start), "point"),
         (lambda: rx.branch(scene, fold, (0.0, 2.0)), "point: is a fold"),
         (lambda: rx.branch(scene, point, (0.0, 1.0)), "do not hold the branch point"),
         (lambda: rx.branch(scene, point, (0.0, 2.0), way=2), "way: must be 1 or -1"),
