@@ -232,7 +232,7 @@ def test_wrong_arguments_are_told():
         (lambda: rx.path(scene, start, 0.0, 1.0, points=1), "points"),
         (lambda: rx.path(scene, start, 0.0, 1.0, modes=1), "modes"),
         (lambda: check_settings(2, 0.1, 0.1, 4, {"a": 1}, None), "give a function"),
-        (lambda: rx.path(scene, start, 0.0, 1.0, targets={"a": 1}), "is none of the measures"),
+        (lambda: rx.path(scene, start, 0.0, 1.0, targets={"a": 1.0}), "is none of the measures"),
         (lambda: rx.branch(scene, fold, (0.0, 2.0)), "point: is a fold"),
         (lambda: rx.branch(scene, point, (0.0, 1.0)), "do not hold the branch point"),
         (lambda: rx.branch(scene, point, (0.0, 2.0), way=2), "way: must be 1 or -1"),

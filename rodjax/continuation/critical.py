@@ -80,8 +80,8 @@ def critical(
         >>> def turns(stiffness):
         ...     softer = dataclasses.replace(rod, stiffness=stiffness * rod.stiffness)
         ...     return rx.critical(dataclasses.replace(scene, rod=softer), point).parameter
-        >>> round(float(turns(1.1) - point.parameter), 9)  # of the ratio of its stiffnesses alone
-        0.0
+        >>> bool(abs(turns(1.1) - point.parameter) < 1e-9)  # the ratio of stiffnesses alone counts
+        True
         >>> slope = jax.grad(turns)(1.0)  # doctest: +SKIP
     """
     check_instance(CriticalPoint, "give one of those that `path(...).critical` holds", point=point)

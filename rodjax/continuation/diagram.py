@@ -35,7 +35,7 @@ class CriticalPoint(eqx.Module):
         >>> scene = rx.Scene(rod, rx.Clamped(), rx.Slider((1, 0, 0), rotation=turn))
         >>> path = rx.path(scene, rx.placing(scene), 0.0, 3.0)
         >>> [(point.kind, round(float(point.parameter), 2)) for point in path.critical]
-        [('branch', 2.15)]
+        [('branch', 2.16)]
     """
 
     kind: Kind = eqx.field(static=True)

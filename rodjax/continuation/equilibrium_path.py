@@ -99,9 +99,9 @@ def path(
         >>> scene = rx.Scene(rod, rx.Clamped(), rx.Slider((1, 0, 0), rotation=turn))
         >>> path = rx.path(scene, rx.placing(scene), 0.0, 3.0)
         >>> print(path)  # doctest: +SKIP
-        path of 51 equilibria, parameter 0 to 3: the parameter reached the value asked
+        path of 60 equilibria, parameter 0 to 3: the parameter reached the value asked
           unstable modes: 0, 2
-          branch at 2.14921
+          branch at 2.15655
     """
     begun = check_bounds(start, stop, unit)
     settings = check_settings(points, first_step, longest_step, modes, measures, targets)
