@@ -332,6 +332,19 @@ def test_accelerator_in_short_mode(tmp_path):
 
 
 @pytest.mark.slow
+def test_bifurcations_in_short_mode(tmp_path):
+    _run("bifurcations.py", "--quick", "--out", str(tmp_path))
+    found = json.loads((tmp_path / "summary.json").read_text())
+    # second order: 6.7/n^2 and 0.77/n^2 above the continuous rod's
+    off = found["thresholds"]["24"]
+    assert off["column"] == pytest.approx(6.7 / 24**2, rel=0.05)
+    assert off["twist"] == pytest.approx(0.77 / 24**2, rel=0.05)
+    loop = found["example"]["loop"]
+    assert loop["unstable"][1] == 1 and loop["shortening"][-1] > 0.5
+    assert (tmp_path / "bifurcations.png").exists()
+
+
+@pytest.mark.slow
 def test_ring_in_short_mode(tmp_path):
     text = _run("ring.py", "--quick", "--out", str(tmp_path))
     summary = json.loads((tmp_path / "summary.json").read_text())
