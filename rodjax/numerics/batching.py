@@ -50,10 +50,20 @@ def one_by_one(function: Callable, together: tuple[Callable, Callable] | None = 
         together: (holds, jointly), both of the function's arguments. If `holds` in every lane, they
             are mapped together by `jointly`, which then gives the same.
     """
-    if jax.default_backend() != "cpu":
-        # a rule of its own would fail in a `cond` of which lanes take different branches: all that
-        # the branches use is batched there, constants of the function as well
-        return function if together is None else _unless_all_hold(function, *together)
+    # a rule of its own would fail in a `cond` of which lanes take different branches: all that the
+    # branches use is batched there, constants of the function as well
+    at_once = function if together is None else _unless_all_hold(function, *together)
+    in_turn = _by_rule(function, together)
+
+    def call(*arguments):
+        # asked where it is called: an import starts no backend
+        return (in_turn if jax.default_backend() == "cpu" else at_once)(*arguments)
+
+    return call
+
+
+def _by_rule(function: Callable, together: tuple[Callable, Callable] | None) -> Callable:
+    """`one_by_one` on CPUs."""
     inner = jax.custom_batching.custom_vmap(function)
 
     @inner.def_vmap
@@ -61,7 +71,7 @@ def one_by_one(function: Callable, together: tuple[Callable, Callable] | None = 
         axes = jax.tree.map(lambda batched: 0 if batched else None, in_batched)
         if not any(jax.tree.leaves(in_batched[0])):
             # wrapped again for a `vmap` further out
-            out = one_by_one(jax.vmap(function, axes))(*arguments)
+            out = _by_rule(jax.vmap(function, axes), None)(*arguments)
         elif together is None:
             out = _in_turn(inner, in_batched, arguments)
         else:
