@@ -77,9 +77,12 @@ class EquilibriumPath(eqx.Module):
         states: stacked states.
         arc: length along the path, in the mean square of spins [rad], displacements over L and of
             the parameter over `unit`.
-        unstable: number of unstable modes.
-        eigenvalues: those of the second variation that are nearest to zero [N], by size; see
-            `stability` for their norm.
+        unstable: number of unstable modes (of loads without potential, only whether it is odd).
+        eigenvalues: those of the second variation that are nearest to zero [N], by size, in the
+            norm of `CriticalPoint.modes`.
+        antisymmetry: of the tangent on their modes, over its symmetric part: more than rounding
+            under loads without potential (followers, dead end moments), whose eigenvalues are not
+            these. `stability` solves their general problem.
         energy: stored by strain, loads and contact [J].
         reactions: of what holds the rod.
         measures: what was asked for, by name.
@@ -101,6 +104,7 @@ class EquilibriumPath(eqx.Module):
     arc: np.ndarray
     unstable: np.ndarray
     eigenvalues: np.ndarray
+    antisymmetry: np.ndarray
     energy: np.ndarray
     reactions: Reactions
     measures: dict[str, Any]

@@ -1,5 +1,6 @@
 """Paths of equilibria along a parameter, by pseudo-arclength continuation."""
 
+import warnings
 from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
@@ -9,14 +10,14 @@ import numpy as np
 
 from rodjax.continuation.arc_step import ArcStep, Tangent
 from rodjax.continuation.diagram import CriticalPoint, EquilibriumPath, PathEnd
-from rodjax.continuation.events import distance, events, locate
+from rodjax.continuation.events import Event, distance, events, locate
 from rodjax.continuation.family import Place, motion_weight
 from rodjax.continuation.near_modes import first_motions
 from rodjax.continuation.path_arguments import check_bounds, check_settings, checked_family
 from rodjax.continuation.walking import Point, Walker, fits, next_length
 from rodjax.inputs.validation import check_instance
 from rodjax.numerics import results
-from rodjax.numerics.results import Result
+from rodjax.numerics.results import ModelWarning, Result
 from rodjax.rods.state import State
 from rodjax.scenes.scene import Scene
 
@@ -231,9 +232,9 @@ class _Walk(NamedTuple):
             before = passed[-1]
             leaving = self.leaves and len(passed) == 1
             gently = length < _GENTLE * settings.longest_step
-            step, bound = self._ahead(before, length)
+            step, bound, far = self._ahead(before, length)
             # a branch leaves its point at right angles to the path, and may do so curved
-            if not fits(step, length, gently or leaving):
+            if not fits(step, far, gently or leaving):
                 length *= 0.5
                 if length < _SHORTEST * settings.longest_step:
                     why, code = PathEnd.FAILED, _why(step)
@@ -243,17 +244,20 @@ class _Walk(NamedTuple):
             after = walker.looked(step, before.look.near.modes)
             target = self._target(before, after)
             if target is not None:
-                after, ended = self._at_target(before, after, length, target), PathEnd.TARGET
+                after, far = self._at_target(before, after, far, target)
+                ended = PathEnd.TARGET
             met = [] if leaving else events(before, after)
             if len(met) > 1 and not gently:
                 length *= 0.5
                 continue
             for event in met:
-                located = locate(walker, before, after, length, event)
-                if located is not None:
+                located = locate(walker, before, after, far, event)
+                if located is None:
+                    _warn_of_missed(event, before, after)
+                else:
                     critical.append(located)
             passed.append(after)
-            arcs.append(arcs[-1] + abs(length))
+            arcs.append(arcs[-1] + far)
             ended = ended or self._again(passed)
             if ended is not None:
                 why = ended
@@ -261,22 +265,22 @@ class _Walk(NamedTuple):
             length = min(next_length(step, length), settings.longest_step)
         return _given(self.walker, passed, arcs, critical, why, code)
 
-    def _ahead(self, before: Point, length: float) -> tuple[ArcStep, float | None]:
-        """The next step, and the bound to which it came, if it did."""
+    def _ahead(self, before: Point, length: float) -> tuple[ArcStep, float | None, float]:
+        """The next step, the bound to which it came, if it did, and its length."""
         walker = self.walker
         slope = float(before.tangent.parameter) * float(walker.unit)
         expected = self._beyond(float(before.parameter) + length * slope)
         if expected is not None:
             # what a schedule says beyond the bound may be nothing
             part = (expected - float(before.parameter)) / slope
-            return walker.to_parameter(before, part, expected), expected
+            return walker.to_parameter(before, part, expected), expected, part
         step = walker.from_point(before, length)
         bound = self._beyond(float(step.parameter))
         if bound is None or int(step.result) != Result.SUCCESS:
-            return step, None
+            return step, None, length
         far = float(step.parameter - before.parameter)
         part = length * (bound - float(before.parameter)) / far
-        return walker.to_parameter(before, part, bound), bound
+        return walker.to_parameter(before, part, bound), bound, part
 
     def _beyond(self, value: float) -> float | None:
         """The bound that lies before a value of the parameter."""
@@ -296,12 +300,12 @@ class _Walk(NamedTuple):
                 return name
         return None
 
-    def _at_target(self, before: Point, after: Point, length: float, name: str) -> Point:
-        """The point at which a measure has its target, by the secant rule."""
+    def _at_target(self, before: Point, after: Point, length: float, name: str):
+        """The point at which a measure has its target, by the secant rule, and how far it is."""
         value, walker = self.settings.targets[name], self.walker
         lacking = lambda point: float(point.look.measures[name]) - value
         (a, at_a), (b, at_b) = (0.0, lacking(before)), (length, lacking(after))
-        best = after
+        best, far = after, length
         for _ in range(20):
             if at_b == at_a or abs(at_b) <= 1e-10 * max(abs(value), 1.0):
                 break
@@ -309,9 +313,9 @@ class _Walk(NamedTuple):
             step = walker.from_point(before, b)
             if int(step.result) != Result.SUCCESS:
                 break
-            best = walker.looked(step, before.look.near.modes)
+            best, far = walker.looked(step, before.look.near.modes), b
             at_a, at_b = at_b, lacking(best)
-        return best
+        return best, far
 
     def _again(self, passed: list[Point]) -> PathEnd | None:
         """Whether the last point lies on the path before."""
@@ -324,6 +328,17 @@ class _Walk(NamedTuple):
             if gap < _AGAIN * length and _turned(last, one) < _AGAIN * length:
                 return PathEnd.CLOSED if i == 0 else PathEnd.VISITED
         return None
+
+
+def _warn_of_missed(event: Event, before: Point, after: Point) -> None:
+    """Say that something critical was seen and not found."""
+    between = sorted(float(point.parameter) for point in (before, after))
+    warnings.warn(
+        f"path: between {between[0]:.6g} and {between[1]:.6g} lies a {event.kind} point that was"
+        " not found (`critical` lacks it); walk that part again with a smaller longest_step",
+        ModelWarning,
+        stacklevel=4,
+    )
 
 
 def _turned(first: Point, second: Point) -> float:
@@ -349,6 +364,7 @@ def _given(walker: Walker, passed, arcs, critical, why, code) -> EquilibriumPath
         arc=np.array(arcs),
         unstable=np.array([int(one.unstable) for one in looks]),
         eigenvalues=np.stack([np.asarray(one.near.values)[:-1] for one in looks]),
+        antisymmetry=np.array([float(one.near.odd) for one in looks]),
         energy=np.array([float(one.energy) for one in looks]),
         reactions=together([one.reactions for one in looks]),
         measures=together([one.measures for one in looks]),

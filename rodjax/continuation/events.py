@@ -4,10 +4,13 @@ from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array, Float
 
+from rodjax.continuation.arc_step import ArcStep
 from rodjax.continuation.critical import critical
 from rodjax.continuation.diagram import CriticalPoint, Kind
 from rodjax.continuation.walking import Point, Walker
+from rodjax.equilibria.motion_norms import moving_weight
 from rodjax.numerics.results import Result
 
 # How often an interval with a critical point is halved until Newton's method finds that from it.
@@ -65,21 +68,30 @@ def locate(
 def _guess(walker: Walker, before: Point, low, high, event: Event) -> CriticalPoint | None:
     """Where interpolation has the critical point."""
     (a, first), (b, second) = low, high
+    modes = None
     if event.kind == "fold":
         of_first, of_second = float(first.tangent.parameter), float(second.tangent.parameter)
-        modes = _crossing(first, second, 1)[0]
     else:
         modes, of_first, of_second = _crossing(first, second, abs(event.change))
-    if modes is None:
-        return None
+        if modes is None:
+            return None
     part = of_first / (of_first - of_second) if of_first != of_second else 0.5
     step = walker.from_point(before, a + float(np.clip(part, 0.02, 0.98)) * (b - a))
     if int(step.result) != Result.SUCCESS:
         return None
+    if modes is None:
+        modes = _along(walker, step)[None]
     state = walker.family.state(step.parameter, step.place)
     none = jnp.zeros((), jnp.int32)
     origin = walker.family.origin
     return CriticalPoint(event.kind, step.parameter, state, modes, walker.unit, origin, none)
+
+
+def _along(walker: Walker, step: ArcStep) -> Float[Array, "nodes 6"]:
+    """The motion along the path, which is the mode of a fold, of unit norm."""
+    equations = walker.family.equations(step.parameter, step.place)
+    motion = equations.change(step.tangent.x)
+    return motion / jnp.sqrt(jnp.sum(moving_weight(equations.scene) * motion**2))
 
 
 def _crossing(first: Point, second: Point, count: int):

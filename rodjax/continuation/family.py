@@ -75,7 +75,8 @@ class Family(eqx.Module):
         equations = self._at_rest(scene, time, place, resistance)
         system = equations.linearize(x)
         # which solver strands in contact need is known where each is solved
-        return Derivative(equations, system, system if scene.contact else system.eliminate(), x)
+        factors = system.eliminate() if scene.contact is None else system
+        return Derivative(equations, system, factors, x)
 
     def _at_rest(self, scene, time, place: Place, resistance=None) -> Equations[AtRest]:
         zero = jnp.zeros_like(place.position)
