@@ -126,10 +126,10 @@ def test_a_buckled_column_is_the_elastica():
     rod = rod_of(100)
     scene_of = pressed(rod)
     point = rx.path(scene_of, rx.placing(turned(rod)), 30.0, 45.0, longest_step=0.5).critical[0]
-    found = rx.branch(scene_of, point, (30.0, 90.0), measures={"short": shortening})
+    found = rx.branch(scene_of, point, (30.0, 54.0), measures={"short": shortening})
     m = np.array([_modulus(load) for load in found.parameters[1:]])
     exact = 2 - 2 * ellipe(m) / ellipk(m)
-    assert found.parameters[-1] == pytest.approx(90.0) and exact[-1] > 0.6
+    assert found.parameters[-1] == pytest.approx(54.0) and exact[-1] > 0.4
     np.testing.assert_allclose(np.asarray(found.measures["short"])[1:], exact, atol=2e-3)
 
 
@@ -155,7 +155,7 @@ def test_seeded_steps_give_one_diagram(twisted):
 
 
 def _necked(rod, amplitudes, turns):
-    s = (jnp.arange(rod.elements) + 0.5) / rod.elements
+    s = jnp.asarray((np.arange(rod.elements) + 0.5) / rod.elements)
     fourth = (1.0 + amplitudes[0] * jnp.cos(2 * jnp.pi * s) + amplitudes[1] * s) ** 4
     stiffness = jnp.stack([fourth, fourth, RATIO * fourth], 1)
     return turned(dataclasses.replace(rod, stiffness=stiffness)), turns
