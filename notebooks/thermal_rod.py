@@ -62,7 +62,7 @@ scene = rx.Scene(rod, loads=(water,))
 times = rx.relaxation_times(scene)
 slowest, fastest = times[np.isfinite(times)][0], times[-1]
 dt = 0.4 * float(fastest)
-steps = int(5 * slowest / dt)
+steps = 5 * int(slowest / dt)  # whole numbers of looks, one in five steps
 print(f"{1e3 * fastest:.3f} to {1e3 * slowest:.1f} ns: {steps} steps of {1e3 * dt:.3f} ns")
 
 # %% [markdown]
