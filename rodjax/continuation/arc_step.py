@@ -18,8 +18,7 @@ from jaxtyping import Array, Bool, Float, Int
 from rodjax.constraints import ends
 from rodjax.continuation.bordered_solve import Bordered
 from rodjax.continuation.family import Family, Parameter, Place, Rows, motion_weight
-from rodjax.equations.equations import Equations
-from rodjax.equations.schemes import AtRest
+from rodjax.equilibria.path_following import overflow
 from rodjax.numerics import results
 from rodjax.numerics.compilation import compiled
 from rodjax.numerics.results import Result
@@ -141,7 +140,7 @@ def arc_step(
         p,
         new,
         tangent,
-        results.join(result, turned, driven, _overflow(equations, x)),
+        results.join(result, turned, driven, overflow(equations, x)),
         jnp.sqrt(far),
         jnp.sum(row * tangent.x) + aim.row.parameter * tangent.parameter,
         end.iterations,
@@ -170,11 +169,3 @@ def _bordered(family: Family, p, place: Place, x, row, corner, unit) -> Bordered
     (of_increments,) = jax.linear_transpose(lift, x)(row)
     column = unit * family.slope(p, place, x)
     return Bordered(derivative, column, of_increments, jnp.asarray(corner, x.dtype))
-
-
-def _overflow(equations: Equations[AtRest], x) -> Int[Array, ""]:
-    """A code that tells whether pairs in contact were left out."""
-    if equations.scene.contact is None:
-        return results.as_code(Result.SUCCESS)
-    pairs = equations.scene.find_contact(equations.motion(x).position).pairs
-    return jnp.where(pairs.overflow, Result.CAPACITY_OVERFLOW, Result.SUCCESS).astype(jnp.int32)

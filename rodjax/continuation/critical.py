@@ -16,6 +16,7 @@ from rodjax.continuation.family import (
     elastic_of,
     function_of,
     motion_weight,
+    of_motion,
 )
 from rodjax.continuation.singular_points import SingularPoint
 from rodjax.equilibria.motion_norms import moving_weight
@@ -176,9 +177,7 @@ def _bent(equations, mode, column, beta) -> Float[Array, ""]:
 def borders(equations, mode: Float[Array, "nodes 6"], x) -> tuple:
     """Column and row that make a system regular which is singular by this mode."""
     weight = motion_weight(equations, x)
-    own = mode / equations.scales.motion[None]
-    rows = jnp.concatenate([own[:, :3], jnp.zeros_like(own[:, :3]), own[:, 3:]], 1)
-    rows = jnp.pad(rows, ((0, x.shape[0] - rows.shape[0]), (0, 0)))
+    rows = of_motion(mode / equations.scales.motion[None], x)
     row = weight * rows
     column = balanced(equations, moving_weight(equations.scene) * mode, x)
     return column / jnp.linalg.norm(column), row / jnp.sqrt(jnp.sum(row * rows))

@@ -9,7 +9,7 @@ from jaxtyping import Array, Float
 from rodjax.continuation.arc_step import ArcStep
 from rodjax.continuation.critical import critical
 from rodjax.continuation.diagram import CriticalPoint, Kind
-from rodjax.continuation.walking import Point, Walker
+from rodjax.continuation.path_steps import Point, Walker
 from rodjax.equilibria.motion_norms import moving_weight
 from rodjax.numerics.results import Result
 

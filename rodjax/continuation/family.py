@@ -15,7 +15,7 @@ from rodjax.equilibria.motion_norms import moving_weight
 from rodjax.numerics import rotations
 from rodjax.rods.balance import Internal
 from rodjax.rods.state import State
-from rodjax.scenes.holds import rows_at, with_row
+from rodjax.scenes.holds import impose, rows_at
 from rodjax.scenes.scene import Scene
 
 Rows = Float[Array, "rows 9"]
@@ -162,12 +162,16 @@ class Derivative(eqx.Module):
 def balanced(equations: Equations[AtRest], wrench: Float[Array, "nodes 6"], like: Rows) -> Rows:
     """Rows of a right side: a wrench on the nodes [N, N m], nothing where they are held."""
     rows = wrench / equations.scales.wrench[None]
-    nodes = equations.scene.held_nodes
-    held = rows_at(rows, nodes)
-    held = held - jnp.einsum("eij,ej->ei", equations.projectors, held)
-    for node, row in zip(nodes, held, strict=True):
-        rows = with_row(rows, node, row)
+    held = equations.projectors, equations.scene.held_nodes
+    rows = impose(rows, jnp.zeros_like(rows_at(rows, held[1])), *held)
     rows = jnp.concatenate([jnp.zeros_like(rows[:, :3]), rows], 1)
+    return jnp.pad(rows, ((0, like.shape[0] - rows.shape[0]), (0, 0)))
+
+
+def of_motion(columns: Float[Array, "nodes 6"], like: Rows) -> Rows:
+    """Rows of unknowns whose displacements and rotations are these columns, without forces."""
+    still = jnp.zeros_like(columns[:, :3])
+    rows = jnp.concatenate([columns[:, :3], still, columns[:, 3:]], 1)
     return jnp.pad(rows, ((0, like.shape[0] - rows.shape[0]), (0, 0)))
 
 
@@ -186,6 +190,4 @@ def motion_weight(equations: Equations[AtRest], x: Rows) -> Rows:
     scene = equations.scene
     weight = moving_weight(scene) / jnp.sum(scene.rod.length)
     weight = weight * equations.scales.motion[None] ** 2
-    still = jnp.zeros_like(weight[:, :3])
-    rows = jnp.concatenate([weight[:, :3], still, weight[:, 3:]], 1)
-    return jnp.pad(rows, ((0, x.shape[0] - rows.shape[0]), (0, 0)))
+    return of_motion(weight, x)

@@ -1,7 +1,7 @@
 """What functions of paths are given, checked before anything is compiled."""
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
@@ -13,9 +13,6 @@ from rodjax.rods.state import State
 from rodjax.scenes.arguments import check_motion
 from rodjax.scenes.scene import Scene
 
-if TYPE_CHECKING:
-    from rodjax.continuation.equilibrium_path import Settings
-
 
 class Bounds(NamedTuple):
     """Values of the parameter."""
@@ -23,6 +20,16 @@ class Bounds(NamedTuple):
     start: float
     stop: float
     unit: float
+
+
+class Settings(NamedTuple):
+    """How a path is walked."""
+
+    points: int
+    first_step: float
+    longest_step: float
+    modes: int
+    targets: dict[str, float]
 
 
 def check_bounds(start, stop, unit) -> Bounds:
@@ -36,10 +43,8 @@ def check_bounds(start, stop, unit) -> Bounds:
     return Bounds(start, stop, float(unit))
 
 
-def check_settings(points, first_step, longest_step, modes, measures, targets) -> "Settings":
+def check_settings(points, first_step, longest_step, modes, measures, targets) -> Settings:
     """Raise ValueError unless these fit each other."""
-    from rodjax.continuation.equilibrium_path import Settings
-
     check_integer(2, points=points)
     check_integer(3, 40, modes=modes)
     check_positive(first_step=first_step, longest_step=longest_step)

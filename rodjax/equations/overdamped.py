@@ -35,11 +35,10 @@ right to the order of dt only.)
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from rodjax.equations.schemes import AbstractScheme, Change, HalfStep, Reference
-from rodjax.numerics import rotations
+from rodjax.equations.schemes import Change, FromReference, HalfStep, resisting
 
 
-class Overdamped(AbstractScheme):
+class Overdamped(FromReference):
     """A step of the midpoint rule without inertia; changes are half increments, see the module.
 
     Attributes:
@@ -49,23 +48,9 @@ class Overdamped(AbstractScheme):
         noise: sqrt(2 kT/dt) Z^(1/2) xi on them [N, N m].
     """
 
-    reference: Reference
     dt: Float[Array, ""]
     resistance: Float[Array, "nodes 6 6"]
     noise: Change
-
-    def origin(self):
-        return self.reference
-
-    def expected(self):
-        zero = jnp.zeros_like(self.reference[0])
-        return jnp.concatenate([zero, zero], 1)
-
-    def increment(self, change):
-        return change
-
-    def rates(self, change):
-        return None
 
     def slopes(self):
         return HalfStep(2 / self.dt, jnp.zeros_like(self.dt))
@@ -83,10 +68,8 @@ class Overdamped(AbstractScheme):
         return False  # every element stretches: its constraint is a law like others
 
     def completed(self, change, wrench, constraint):
-        resisting = jnp.einsum("nij,nj->ni", self.resistance, change)
-        return wrench + resisting - self.noise, constraint
+        drag = jnp.einsum("nij,nj->ni", self.resistance, change)
+        return wrench + drag - self.noise, constraint
 
     def stiffened(self, change, node):
-        turned = rotations.tangent_inverse(change[:, 3:])
-        by_spin = jnp.einsum("nij,njk->nik", self.resistance[:, :, 3:], turned)
-        return node + self.resistance.at[:, :, 3:].set(by_spin)
+        return node + resisting(self.resistance, change)

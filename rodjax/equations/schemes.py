@@ -128,7 +128,37 @@ class Step(AbstractScheme):
         return node
 
 
-class AtRest(AbstractScheme):
+class FromReference(AbstractScheme):
+    """A scheme without rates whose changes are increments from a reference.
+
+    Attributes:
+        reference: positions and frames of the nodes that increments count from.
+    """
+
+    reference: Reference
+
+    def origin(self):
+        return self.reference
+
+    def expected(self):
+        zero = jnp.zeros_like(self.reference[0])
+        return jnp.concatenate([zero, zero], 1)
+
+    def increment(self, change):
+        return change
+
+    def rates(self, change):
+        return None
+
+
+def resisting(resistance: Float[Array, "nodes 6 6"], change: Change) -> Float[Array, "nodes 6 6"]:
+    """Derivative of `resistance` times the changes, by displacements and body spins."""
+    turned = rotations.tangent_inverse(change[:, 3:])
+    by_spin = jnp.einsum("nij,njk->nik", resistance[:, :, 3:], turned)
+    return resistance.at[:, :, 3:].set(by_spin)
+
+
+class AtRest(FromReference):
     """Rest on a path of loads from a start, moved against a resistance if one is given.
 
     With the path's parameter p from 0 to 1 the balance is
@@ -146,24 +176,10 @@ class AtRest(AbstractScheme):
         resistance: of the nodes to displacements and rotations from the reference [N/m, N m].
     """
 
-    reference: Reference
     max_rotation: Float[Array, ""]
     load_factor: Float[Array, ""]
     lacking: Internal
     resistance: Float[Array, "nodes 6"] | None = None
-
-    def origin(self):
-        return self.reference
-
-    def expected(self):
-        zero = jnp.zeros_like(self.reference[0])
-        return jnp.concatenate([zero, zero], 1)
-
-    def increment(self, change):
-        return change
-
-    def rates(self, change):
-        return None
 
     def slopes(self):
         return None
@@ -190,9 +206,7 @@ class AtRest(AbstractScheme):
     def stiffened(self, change, node):
         if self.resistance is None:
             return node
-        resistance = jax.vmap(jnp.diag)(self.resistance)
-        turned = rotations.tangent_inverse(change[:, 3:])
-        return node + resistance.at[:, 3:, 3:].set(resistance[:, 3:, 3:] @ turned)
+        return node + resisting(jax.vmap(jnp.diag)(self.resistance), change)
 
 
 def rest_on_path(

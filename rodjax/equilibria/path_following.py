@@ -185,7 +185,7 @@ def follow(
                 Result.ROTATION_TOO_LARGE,
             ),
             code(driven, Result.DRIVE_TOO_FAST),
-            _overflow(trial, x),
+            overflow(trial, x),
         )
         converged = result == Result.SUCCESS
         least = neutral(scene, trial.force(x))
@@ -292,7 +292,7 @@ def spin_is_neutral(equations: Equations[AtRest], x: Float[Array, "rows 9"]) -> 
     return jnp.abs(turn - 1) < 1e3 * jnp.sqrt(jnp.finfo(x.dtype).eps)
 
 
-def _overflow(equations: Equations[AtRest], x) -> Int[Array, ""]:
+def overflow(equations: Equations[AtRest], x) -> Int[Array, ""]:
     """A code that tells whether pairs in contact were left out."""
     if equations.scene.contact is None:
         return results.as_code(Result.SUCCESS)
