@@ -173,7 +173,8 @@ def test_critical_turns_have_derivatives_in_both_modes(twisted):
     at = jnp.array([-0.1, 0.05])
     reverse = jax.jit(jax.grad(critical))(at)
     forward = jax.jit(jax.jacfwd(critical))(at)
-    np.testing.assert_allclose(reverse, forward, rtol=1e-7)
+    # the point has a pair of modes: along the second rounding is divided by little
+    np.testing.assert_allclose(reverse, forward, rtol=1e-6)
     for i in range(2):
         # Richardson's rule of central differences
         slopes = [
