@@ -5,7 +5,8 @@
 Parts:
     thresholds  clamped column, clamped rod under torsion, the paper's necked rod, refined grids
     elastica    the buckled column against the closed form, far beyond its threshold
-    example     turns against torque and shortening of the necked rod, from straight to its loop
+    example     turns against torque and shortening of the necked rod, from straight to its loop;
+                without contact, so that the loop slips through itself, and two turns are lost
     localised   a long rod under tension and torque against Coyne's localised buckle
     ring        a DNA minicircle past Michell's threshold to the figure 8
     profile     diameters that raise the critical turns at fixed mass, by gradients of `rx.critical`
@@ -106,13 +107,16 @@ def thresholds(grids, out: dict) -> None:
 
 
 def elastica(elements: int) -> dict:
-    """The buckled column against the clamped elastica, P = 16 K(m)^2 A/L^2 (Love 1927)."""
+    """The buckled column against the clamped elastica, P = 16 K(m)^2 A/L^2 (Love 1927).
+
+    Below 54.6 A/L^2, where it turns out of its plane.
+    """
     rod = rod_of(elements)
     scene_of = pressed(rod)
     state = rx.placing(rx.Scene(rod, rx.Clamped()))
     straight = rx.path(scene_of, state, 30.0, 45.0, longest_step=0.5)
     point = first_branch(straight)
-    buckled = rx.branch(scene_of, point, (30.0, 120.0), measures={"shortening": shortening})
+    buckled = rx.branch(scene_of, point, (30.0, 54.0), measures={"shortening": shortening})
     load, short = buckled.parameters, np.asarray(buckled.measures["shortening"])
     m = np.array([_modulus(value) for value in load])
     # of the continuous rod at the same shortening: the load that bends it so far
@@ -251,45 +255,75 @@ def profile(elements: int, rounds: int) -> dict:
 
 
 def figure(path: Path, found: dict) -> None:
-    """What was found, a panel each."""
-    fig, axes = plt.subplots(2, 3, figsize=(14, 8), layout="constrained")
-    axes = axes.ravel()
-    if "thresholds" in found:
-        n = np.array([int(key) for key in found["thresholds"]])
-        for name in ("column", "twist", "neck"):
-            errors = [abs(found["thresholds"][str(i)][name]) for i in n]
-            axes[0].loglog(n, errors, "o-", label=name)
-        axes[0].loglog(n, 1.0 / n**2.0, "k:", label="second order")
-        axes[0].set(xlabel="elements", ylabel="critical load off theory, relative")
-        axes[0].legend(fontsize=8)
-    if "elastica" in found:
-        one = found["elastica"]
-        load = np.array(one["load"])
-        m = np.array([_modulus(value) for value in load])
-        axes[1].plot(one["shortening"], load, "o", ms=3, label="path")
-        axes[1].plot(2 - 2 * ellipe(m) / ellipk(m), load, "k-", lw=1, label="elastica")
-        axes[1].set(xlabel="shortening [L]", ylabel="thrust [A/L$^2$]")
-        axes[1].legend(fontsize=8)
-    if "example" in found:
-        for name in ("straight", "loop"):
-            _stable_dashed(axes[2], found["example"][name], "parameter", "torque", name)
-            _stable_dashed(axes[3], found["example"][name], "parameter", "shortening", name)
-        axes[2].set(xlabel="turns", ylabel="torque [A/L]", title="the paper's rod")
-        axes[3].set(xlabel="turns", ylabel="shortening [L]", title="dashed: unstable")
-        axes[2].legend(fontsize=8)
-    if "localised" in found:
-        one = found["localised"]
-        axes[4].plot(one["parameter"], one["shortening"], "o", ms=2, label="path")
-        axes[4].plot(one["exact_turns"], one["exact_shortening"], "k-", lw=1, label="Coyne")
-        axes[4].set(xlabel="turns", ylabel="shortening [sqrt(A/T)]", title="localised buckle")
-        axes[4].legend(fontsize=8)
-    if "profile" in found:
-        axes[5].plot(found["profile"]["torque"], "o-")
-        axes[5].set(xlabel="round", ylabel="critical torque [A/L]", title="profile of fixed mass")
-    for axis in axes:
-        axis.set_visible(axis.has_data())
+    """What was found, a panel each (two of the example)."""
+    drawn = [draw for name, draws in PANELS.items() if name in found for draw in draws]
+    if not drawn:
+        return
+    columns = min(3, len(drawn))
+    rows = -(-len(drawn) // columns)
+    size = 4.7 * columns, 4.0 * rows
+    fig, axes = plt.subplots(rows, columns, figsize=size, layout="constrained", squeeze=False)
+    for axis, draw in zip(axes.ravel(), drawn, strict=False):
+        draw(axis, found)
+    for axis in axes.ravel()[len(drawn) :]:
+        axis.remove()
     fig.savefig(path, dpi=140)
     plt.close(fig)
+
+
+def _draw_thresholds(axis, found: dict) -> None:
+    n = np.array([int(key) for key in found["thresholds"]])
+    for name in ("column", "twist", "neck"):
+        axis.loglog(n, [abs(found["thresholds"][str(i)][name]) for i in n], "o-", label=name)
+    axis.loglog(n, 1.0 / n**2.0, "k:", label="second order")
+    axis.set(xlabel="elements", ylabel="critical load off theory, relative")
+    axis.legend(fontsize=8)
+
+
+def _draw_elastica(axis, found: dict) -> None:
+    load, short = (np.array(found["elastica"][name]) for name in ("load", "shortening"))
+    m = np.array([_modulus(value) for value in load])
+    axis.plot(short, load, "o", ms=3, label="path")
+    axis.plot(2 - 2 * ellipe(m) / ellipk(m), load, "k-", lw=1, label="elastica")
+    axis.set(xlabel="shortening [L]", ylabel="thrust [A/L$^2$]")
+    axis.legend(fontsize=8)
+
+
+def _draw_torque(axis, found: dict) -> None:
+    for name in ("straight", "loop"):
+        _stable_dashed(axis, found["example"][name], "parameter", "torque", name)
+    axis.set(xlabel="turns", ylabel="torque [A/L]", title="the paper's rod, without contact")
+    axis.legend(fontsize=8)
+
+
+def _draw_shortening(axis, found: dict) -> None:
+    for name in ("straight", "loop"):
+        _stable_dashed(axis, found["example"][name], "parameter", "shortening", name)
+    axis.set(xlabel="turns", ylabel="shortening [L]", title="dashed: unstable")
+
+
+def _draw_localised(axis, found: dict) -> None:
+    one = found["localised"]
+    exact = np.array(one["exact_shortening"])
+    bent = exact > 0  # with a torque below 2 sqrt(A T)
+    axis.plot(one["parameter"], one["shortening"], "o", ms=2, label="path")
+    axis.plot(np.array(one["exact_turns"])[bent], exact[bent], "k-", lw=1, label="Coyne")
+    axis.set(xlabel="turns", ylabel="shortening [sqrt(A/T)]", title="localised buckle")
+    axis.legend(fontsize=8)
+
+
+def _draw_profile(axis, found: dict) -> None:
+    axis.plot(found["profile"]["torque"], "o-")
+    axis.set(xlabel="round", ylabel="critical torque [A/L]", title="profile of fixed mass")
+
+
+PANELS = {
+    "thresholds": (_draw_thresholds,),
+    "elastica": (_draw_elastica,),
+    "example": (_draw_torque, _draw_shortening),
+    "localised": (_draw_localised,),
+    "profile": (_draw_profile,),
+}
 
 
 def _stable_dashed(axes, curve: dict, x: str, y: str, label: str) -> None:
