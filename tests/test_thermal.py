@@ -86,7 +86,7 @@ def test_curvature_and_twist_have_their_variance():
 
 
 def test_averages_of_equilibrium():
-    (mean, error), right = _averages(BATH, 8e-5, 64, 1500), expected()
+    (mean, error), right = _averages(BATH, 8e-5, 48, 1500), expected()
     for name in ("turns", "strains"):
         off = np.asarray(mean[name]) - right[name]
         assert np.all(np.abs(off) < 3 * np.asarray(error[name]) + 0.004 * right[name]), name
@@ -224,20 +224,62 @@ def test_relaxation_times_are_those_of_a_trap():
     assert 1e-4 < times[-1] < 2e-4
 
 
+def test_a_bead_is_a_drag_on_its_node_or_a_body_welded_to_it():
+    """Both relax alike, and the body stays on the node in a bath that shakes it."""
+    trap, drags = Trap(jnp.asarray(0.05)), {"linear": 0.1, "rotational": 2.0}
+    own = _massive(WATER, trap, rx.PointDrag(-1, **drags))
+    body = rx.Body(1.0, inertia=(1.0, 1.0, 1.0), position=(0.0, 0.0, SPACING * ELEMENTS))
+    weld = rx.Weld(rx.Point(-1), rx.Point(body=0))
+    loads = (WATER, trap, rx.PointDrag(body=0, **drags))
+    welded = rx.Scene(own.rod, bodies=(body,), joints=(weld,), loads=loads)
+    times = [one[np.isfinite(one)] for one in map(rx.relaxation_times, (own, welded))]
+    # but for c ds^2/4 of the turning of the node itself, which has no drag where the body has it
+    np.testing.assert_allclose(*times, rtol=0.02)
+    # in the weak trap both move as a whole, in the drag of rod and bead
+    along = (2e-3 * SPACING * ELEMENTS + drags["linear"]) / 0.05
+    assert np.min(np.abs(times[0] / along - 1)) < 1e-2
+    run = rx.thermal_rollout(welded, rx.thermal_start(welded, jax.random.key(0)), BATH, 5e-5, 50)
+    position = run.final.state.position
+    np.testing.assert_allclose(position[-1], position[-2], rtol=0, atol=1e-12)
+    assert np.max(np.abs(position[-1] - body.position)) > 1e-3
+
+
+PLANE = {"shape": rx.Plane(point=(0.0, 0.0, -2.0)), "stiffness": 5.0}
+
+
 @pytest.mark.parametrize(
     ("change", "message"),
     [
         (lambda s: _massive(), "loads: .*needs drag.*LinearDrag"),
+        (lambda s: _with(rx.PointDrag(-1, 0.1, 0.0, 0.1, offset=(0, 0, 3.0))), "without an offset"),
+        (lambda s: _with(rx.Obstacle(**PLANE, relaxation=1e-3)), "loads: .*relaxation=0"),
+        (
+            lambda s: _with(rx.Obstacle(**PLANE, friction=rx.SlidingFriction(0.3, slip_speed=1.0))),
+            "loads: .*friction that slides",
+        ),
         (lambda s: rx.Scene(STRAIGHT, loads=s.loads), "compliance: .*yielding"),
         (lambda s: _massive(rx.Gravity((0, 0, -1.0))), "loads: .*drag in all directions.*Linear"),
         (lambda s: _massive(WATER, rx.MorisonDrag(1.0, 1.0, 0.1)), "loads: .*linear"),
         (lambda s: _massive(WATER, material=rx.KelvinVoigt(1e-3)), "material: .*elastic"),
     ],
-    ids=["no load", "rigid", "no drag", "quadratic drag", "viscous"],
+    ids=[
+        "no load",
+        "drag off the node",
+        "damped obstacle",
+        "sliding friction",
+        "rigid",
+        "no drag",
+        "quadratic drag",
+        "viscous",
+    ],
 )
 def test_scenes_without_equilibrium_are_refused(change, message):
     with pytest.raises(ValueError, match=message):
         rx.thermal_start(change(SCENE), jax.random.key(0))
+
+
+def _with(load):
+    return rx.Scene(ROD, loads=(WATER, load))
 
 
 def _massive(*loads, material=None):

@@ -18,6 +18,7 @@ from rodjax.inputs.validation import (
 )
 from rodjax.interactions.contact_energy import has_potential
 from rodjax.interactions.contact_laws import PairProperties, ignores_approach
+from rodjax.numerics.compilation import compiled
 from rodjax.rods.state import NodeMotion, at_rest
 from rodjax.scenes.scene import Scene
 
@@ -94,6 +95,11 @@ def _check_losses(scene: Scene) -> None:
             "loads: one of them remembers the motion (an anchor of friction): it loses energy, and"
             " the bath has no noise of that; leave the friction out"
         )
+    if any(load.rubs for load in scene.loads):
+        raise ValueError(
+            "loads: one of them has friction that slides: it loses energy, and the bath has no"
+            " noise of that; leave the friction out"
+        )
     contact = scene.contact
     if contact is None:
         return
@@ -132,7 +138,8 @@ def _check_joints(scene: Scene) -> None:
         if not joint.rejoins or apart:
             raise ValueError(
                 f"joints[{index}]: rods in a heat bath are joined by Weld between nodes without"
-                " offsets (a ring); other joints would bias the distribution and drift"
+                " offsets (a ring, a body on a node); other joints would bias the distribution and"
+                " drift. For a bead that stands off its node give the node PointDrag(node, ...)"
             )
 
 
@@ -140,8 +147,11 @@ def _check_drag(scene: Scene) -> None:
     with jax.ensure_compile_time_eval():
         rod = scene.rod
         motion = at_rest(jnp.zeros((), rod.position.dtype), rod.position, rod.quaternion)
-        drag = np.asarray(node_drag(scene, motion), float)
-        beyond = _beyond(scene, motion, drag)
+        rows = np.random.default_rng(0).normal(size=(scene.rod.elements + 1, 6))
+        rate = rows * np.repeat([float(scene.rod.mean_length), 1.0], 3)
+        rate = jnp.asarray(rate, motion.position.dtype)
+        found = _probed(scene, motion, rate)
+        drag, excess, elsewhere = (np.asarray(one, float) for one in found)
     least = np.linalg.eigvalsh(0.5 * (drag + np.swapaxes(drag, 1, 2)))[:, 0]
     bad = ~(least > 0)
     if np.any(bad):
@@ -154,7 +164,23 @@ def _check_drag(scene: Scene) -> None:
         raise ValueError(
             "loads: the drag of a node must be symmetric (Onsager), for noise to belong to it"
         )
-    if beyond > 1e-6:
+    largest = np.max(np.abs(drag))
+    coupled = np.max(np.abs(drag[:, :3, 3:]), (1, 2)) > 1e-12 * largest
+    if np.any(coupled):
+        raise ValueError(
+            f"loads: the drag of node {int(np.argmax(coupled))} couples its displacement with its"
+            " turning, and noise of that asks for a drift that is not there; give PointDrag without"
+            " an offset (a bead's drag at the node that it is fixed to)"
+        )
+    if np.max(np.abs(elsewhere - drag)) > 1e-6 * largest:
+        raise ValueError(
+            "loads: the drag of a node must not depend on where it is, for noise of that asks for a"
+            " drift that is not there (no damping in an obstacle: Obstacle(..., relaxation=0); no"
+            " fluid that is thicker at some places)"
+        )
+    linear = np.abs(np.einsum("nij,nj->ni", drag, np.asarray(rate)))
+    beyond = np.max(np.abs(excess), 0) / np.maximum(np.max(linear, 0), 1e-300)
+    if np.max(beyond) > 1e-6:
         raise ValueError(
             "loads: the drag of a rod in a heat bath must be linear in the velocities, for noise to"
             " belong to it (no MorisonDrag, no PointDrag(quadratic=...), no friction): take"
@@ -162,11 +188,12 @@ def _check_drag(scene: Scene) -> None:
         )
 
 
-def _beyond(scene: Scene, motion: NodeMotion, drag: np.ndarray) -> float:
-    """What drag is not linear, at rates of an element length and a radian in a unit of time."""
-    rows = np.random.default_rng(0).normal(size=drag.shape[:2])
-    rate = rows * np.repeat([float(scene.rod.mean_length), 1.0], 3)
-    rate = jnp.asarray(rate, motion.position.dtype)
-    excess = np.abs(np.asarray(excess_drag(scene, motion, rate)))
-    linear = np.abs(np.einsum("nij,nj->ni", drag, rate))
-    return float(np.max(np.max(excess, 0) / np.maximum(np.max(linear, 0), 1e-300)))
+@compiled
+def _probed(scene: Scene, motion: NodeMotion, rate: Float[Array, "nodes 6"]):
+    """The drag of the nodes, what is not linear at rates of an element length and a radian in a
+    unit of time, and the drag after the whole moved by the rods' length one way or another.
+    """
+    reach = jnp.sum(scene.rod.length)
+    ways = jnp.concatenate([jnp.eye(3), -jnp.eye(3)]).astype(reach.dtype)
+    at = lambda way: node_drag(scene, motion._replace(position=motion.position + reach * way[None]))
+    return node_drag(scene, motion), excess_drag(scene, motion, rate), jax.lax.map(at, ways)
