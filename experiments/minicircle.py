@@ -19,14 +19,12 @@ import jax
 import jax.numpy as jnp
 import matplotlib.pyplot as plt
 import numpy as np
+from _molecule import BATH, CHARGES, DIAMETER, DRAG, A, C
 
 import rodjax as rx
 from rodjax.rods.winding import writhe_of
 
-KT = 4.114  # [pN nm]
-LENGTH, DIAMETER = 114.0, 2.0  # [nm]
-A, C = 50 * KT, 100 * KT  # [pN nm^2]
-CHARGES = rx.DebyeHueckel(strength=KT * 0.7 * 4.0**2, screening=1.0, floor=0.5)  # of 100 mM
+LENGTH = 114.0  # [nm]
 EDGES = np.linspace(-2.5, 2.5, 51)  # of the histogram of the writhe
 
 
@@ -36,8 +34,8 @@ def ring_of(turns: float, elements: int) -> rx.Scene:
     rod = rx.yielding(rx.ring(LENGTH, elements, section, turns=turns), 10.0)
     return rx.Scene(
         rod,
-        loads=(rx.LinearDrag(3e-3, 1.5e-3, 0.025),),  # [pN us/nm^2, pN us]
-        contact=rx.Contact(CHARGES, segments=elements, cutoff=7.0, exclusion=25.0),
+        loads=(rx.LinearDrag(*DRAG),),
+        contact=rx.Contact(CHARGES, segments=elements, cutoff=14.0, exclusion=25.0),
         joints=(rx.Weld(rx.Point(0), rx.Point(-1)),),
     )
 
@@ -66,7 +64,7 @@ def shaken(turns: float, elements: int, replicas: int, duration: float) -> dict:
     def advance(starts):
         def one(start):
             run = rx.thermal_rollout(
-                scene, start, rx.Bath(KT), dt, steps, measure=seen, measure_every=20, throw=False
+                scene, start, BATH, dt, steps, measure=seen, measure_every=20, throw=False
             )
             return run.final, run.averages, run.result
 

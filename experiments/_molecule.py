@@ -1,0 +1,19 @@
+"""The DNA molecule of the thermal experiments, in water of room temperature. In nm, pN, us."""
+
+import rodjax as rx
+
+KT = 4.114  # [pN nm]
+PERSISTENCE = 50.0  # [nm]
+A, C = PERSISTENCE * KT, 2 * PERSISTENCE * KT  # [pN nm^2]
+DIAMETER = 2.0  # [nm]
+DRAG = (3e-3, 1.5e-3, 0.025)  # normal, tangential [pN us/nm^2], of spin [pN us]
+BATH = rx.Bath(KT)
+# salt of 10 mM: k_B T l_B (charges per length)^2 [pN], Debye length [nm]; of more salt a strand's
+# repulsion is shorter than elements of 5 nm with two points each resolve, and strands pass
+CHARGES = rx.DebyeHueckel(strength=KT * 0.7 * 2.4**2, screening=3.0, floor=0.5)
+
+
+def molecule(length: float, elements: int, stiffer: float = 10.0) -> rx.Rod:
+    """A straight one along z, whose elements yield as thermal rods must."""
+    section = rx.Section(stiffness=(A, A, C), diameter=DIAMETER)
+    return rx.yielding(rx.straight_rod(length, elements, section), stiffer)
