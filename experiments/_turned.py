@@ -127,8 +127,8 @@ def _told(rows: list[dict], force: float) -> dict:
     turns, extension, torque = pick("turns"), pick("extension"), pick("torque")
     # a fall between means of three blocks, as single ones are noisy
     smooth = np.convolve(extension, np.ones(3) / 3, mode="valid")
-    fall = smooth[:-3] - smooth[3:]
-    jump = int(np.argmax(fall)) + 2
+    fall = smooth[:-3] - smooth[3:] if len(smooth) > 3 else np.zeros(1)
+    jump = min(int(np.argmax(fall)) + 2, len(rows) - 1)
     after = turns > turns[min(jump + 3, len(turns) - 1)]
     parts = (
         np.array_split(torque[after], 6) if np.sum(after) >= 12 else [torque[-2:-1], torque[-1:]]

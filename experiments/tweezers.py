@@ -84,7 +84,7 @@ def main(argv=None) -> int:
         summary["pulled"], summary["extensions"] = pulls(options.quick)
     if options.only != "pull":
         if options.quick:
-            summary["turned"] = [turned(1.0, 16, 1.0, 0.5, 5)]
+            summary["turned"] = [turned(1.0, 16, 1.0, 0.5, 8)]
         else:
             summary["turned"] = [
                 turned(force, 30, 3.0, time, 80, apart) for force, time, apart in TURNED
