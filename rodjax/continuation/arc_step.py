@@ -16,8 +16,20 @@ from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
 from rodjax.constraints import ends
-from rodjax.continuation.bordered_solve import Bordered
-from rodjax.continuation.family import Family, Parameter, Place, Rows, motion_weight
+from rodjax.continuation.bordered_solve import Bordered, Free
+from rodjax.continuation.family import (
+    Derivative,
+    Family,
+    Parameter,
+    Place,
+    Rows,
+    balanced,
+    elastic_of,
+    motion_weight,
+    of_motion,
+)
+from rodjax.continuation.near_modes import Motions
+from rodjax.equilibria.motion_norms import moving_weight
 from rodjax.equilibria.path_following import overflow
 from rodjax.numerics import results
 from rodjax.numerics.compilation import compiled
@@ -27,6 +39,11 @@ from rodjax.scenes.holds import rows_at
 
 # Increments that are made at most, and how many may fail to shrink.
 _MOST, _PATIENCE = 14, 3
+
+# How motions that cost nothing are resisted, in mean bending stiffness over the length squared.
+# Without that each increment would go along them as far as rounding, or the curvature of the path,
+# says.
+_HELD = 10.0
 
 # What an end may turn in a step [rad].
 _TURN = 0.5 * jnp.pi
@@ -46,6 +63,7 @@ class Aim(NamedTuple):
     unit: Float[Array, ""]  # of the parameter
     row: Tangent  # along what that is measured
     predicted: Tangent  # where it starts from: `length` times this
+    free: Motions  # that cost nothing where it starts, zeros where there are fewer
 
 
 class ArcStep(NamedTuple):
@@ -100,7 +118,7 @@ def arc_step(
         lacking = equations.residual(x)
         short = aim.length - jnp.sum(row * (x - start))
         short = short - aim.row.parameter * (p - parameter) / unit
-        bordered = _bordered(family, p, place, x, row, aim.row.parameter, unit)
+        bordered = _bordered(family, p, place, x, row, aim)
         # once arrived the same system gives the tangent
         right = jnp.where(arrived, 0.0, -lacking), jnp.where(arrived, 1.0, short)
         dx, dp = bordered.solve(*right)
@@ -162,10 +180,30 @@ def _driven(family: Family, place: Place, before: Parameter, after: Parameter) -
     return jnp.max(jnp.sum(change**2, 1)) > _TURN**2
 
 
-def _bordered(family: Family, p, place: Place, x, row, corner, unit) -> Bordered:
+def _bordered(family: Family, p, place: Place, x, row, aim: Aim) -> Bordered:
     """The derivative of the equations by solved increments, and by the parameter over its unit."""
     derivative = family.derivative(p, place, x)
     lift = lambda dx: derivative.equations.lift(x, dx)
-    (of_increments,) = jax.linear_transpose(lift, x)(row)
-    column = unit * family.slope(p, place, x)
-    return Bordered(derivative, column, of_increments, jnp.asarray(corner, x.dtype))
+    of_increments = lambda row: jax.linear_transpose(lift, x)(row)[0]
+    column = aim.unit * family.slope(p, place, x)
+    corner = jnp.asarray(aim.row.parameter, x.dtype)
+    free = _free(derivative, aim, x)
+    free = free._replace(rows=jax.vmap(of_increments)(free.rows))
+    return Bordered(derivative, column, of_increments(row), corner, free)
+
+
+def _free(derivative: Derivative, aim: Aim, x) -> Free:
+    """What resists motions that cost nothing, but for what of them is the path's own."""
+    equations = derivative.equations
+    scene = equations.scene
+    weight = moving_weight(scene)
+    along = equations.change(aim.predicted.x)
+    square = jnp.sum(weight * along**2)
+    share = jnp.einsum("kni,ni,ni->k", aim.free, weight, along) / jnp.maximum(square, 1e-30)
+    free = aim.free - share[:, None, None] * along[None]
+    sizes = jnp.einsum("kni,ni,kni->k", free, weight, free)
+    free = jnp.where((sizes > 0.5)[:, None, None], free, 0.0)
+    stiff = _HELD * elastic_of(scene)
+    columns = stiff * jax.vmap(lambda one: balanced(equations, weight * one, x))(free)
+    rows = jax.vmap(lambda one: of_motion(weight * equations.scales.motion[None] * one, x))(free)
+    return Free(columns, rows)

@@ -17,6 +17,13 @@ from jaxtyping import Array, Float
 Rows = Float[Array, "rows 9"]
 
 
+class Free(NamedTuple):
+    """Motions that nothing resists, and that are resisted here: U V^T is added to the system."""
+
+    columns: Float[Array, "k rows 9"]  # U
+    rows: Float[Array, "k rows 9"]  # V
+
+
 class Bordered(NamedTuple):
     """A system, and its border of one row and one column."""
 
@@ -24,19 +31,26 @@ class Bordered(NamedTuple):
     column: Rows  # b
     row: Rows  # c
     corner: Float[Array, ""]  # d
+    free: Free | None = None
 
     def solve(self, f: Rows, g) -> tuple[Rows, Float[Array, ""]]:
         """x and y."""
-        return _refined(self.system.solve, self.multiply, self, f, g)
+        border = self._border()
+        x, y = _refined(self.system.solve, self.system.multiply, border, f, _first(g, border))
+        return x, y[0]
 
     def solve_transpose(self, f: Rows, g) -> tuple[Rows, Float[Array, ""]]:
         """Those of the transposed system: A^T x + c y = f, b.x + d y = g."""
-        solve = self.system.solve_transpose
-        turned = self._replace(column=self.row, row=self.column)
-        return _refined(solve, self.multiply_transpose, turned, f, g)
+        border = self._border()
+        border = _Border(border.rows, border.columns, border.corner)
+        system = self.system
+        x, y = _refined(
+            system.solve_transpose, system.multiply_transpose, border, f, _first(g, border)
+        )
+        return x, y[0]
 
     def multiply(self, x: Rows, y) -> tuple[Rows, Float[Array, ""]]:
-        """Matrix times vector."""
+        """Matrix times vector, of the system as it is."""
         return self.system.multiply(x) + self.column * y, jnp.sum(self.row * x) + self.corner * y
 
     def multiply_transpose(self, x: Rows, y) -> tuple[Rows, Float[Array, ""]]:
@@ -44,17 +58,41 @@ class Bordered(NamedTuple):
         transposed = self.system.multiply_transpose(x)
         return transposed + self.row * y, jnp.sum(self.column * x) + self.corner * y
 
+    def _border(self) -> "_Border":
+        """All rows and columns: y' = V^T x is one more unknown for each free motion."""
+        column, row = self.column[None], self.row[None]
+        corner = jnp.asarray(self.corner).reshape(1, 1)
+        if self.free is None:
+            return _Border(column, row, corner)
+        count = len(self.free.rows)
+        corner = jnp.diag(jnp.concatenate([corner[0], -jnp.ones((count,), corner.dtype)]))
+        join = lambda one, others: jnp.concatenate([one, others])
+        return _Border(join(column, self.free.columns), join(row, self.free.rows), corner)
 
-def _refined(solve, multiply, bordered: Bordered, f, g):
+
+class _Border(NamedTuple):
+    columns: Float[Array, "m rows 9"]
+    rows: Float[Array, "m rows 9"]
+    corner: Float[Array, "m m"]
+
+
+def _first(g, border: _Border) -> Float[Array, " m"]:
+    return jnp.zeros((len(border.rows),), border.rows.dtype).at[0].set(g)
+
+
+def _refined(solve, multiply, border: _Border, f, g):
     """The solution by elimination, refined once."""
-    response, first = jax.vmap(solve)(jnp.stack([bordered.column, f]))
-    complement = bordered.corner - jnp.sum(bordered.row * response)
+    columns, rows, corner = border
+    along = lambda x: jnp.einsum("mnr,nr->m", rows, x)
+    found = jax.vmap(solve)(jnp.concatenate([columns, f[None]]))
+    response, first = found[:-1], found[-1]
+    complement = corner - jnp.einsum("mnr,knr->mk", rows, response)
 
     def closed(free, g):
-        y = (g - jnp.sum(bordered.row * free)) / complement
-        return free - response * y, y
+        y = jnp.linalg.solve(complement, g - along(free))
+        return free - jnp.einsum("m,mnr->nr", y, response), y
 
     x, y = closed(first, g)
-    of_nodes, of_border = multiply(x, y)
-    dx, dy = closed(solve(f - of_nodes), g - of_border)
+    of_nodes = multiply(x) + jnp.einsum("m,mnr->nr", y, columns)
+    dx, dy = closed(solve(f - of_nodes), g - along(x) - corner @ y)
     return x + dx, y + dy

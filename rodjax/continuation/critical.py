@@ -1,11 +1,12 @@
 """Critical loads, as differentiable functions of the scene."""
 
+import dataclasses
 from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
 from jax import lax
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
 from rodjax.continuation.diagram import CriticalPoint
 from rodjax.continuation.family import (
@@ -92,7 +93,13 @@ def critical(
     # not, for a converted function is a new one
     if not all_known(converted):
         family = converted
-    found = _critical(family, point)
+    # folds and branch points share a program
+    branches = jnp.asarray(point.kind == "branch")
+    first = dataclasses.replace(point, kind="fold", modes=point.modes[:1])
+    found = _critical(family, first, branches)
+    others = not_a_number(lax.stop_gradient(point.modes[1:]), found.result != 0)
+    modes = jnp.concatenate([found.modes, others])
+    found = dataclasses.replace(found, kind=point.kind, modes=modes)
     if throw and all_known(found.result):
         where = f"critical, near the {point.kind} point at {float(point.parameter):g}"
         results.raise_if_failed(found.result, where, found)
@@ -106,7 +113,7 @@ def explicit(family: Family, parameter: Parameter) -> Family:
 
 
 @compiled
-def _critical(family: Family, point: CriticalPoint) -> CriticalPoint:
+def _critical(family: Family, point: CriticalPoint, branches: Bool[Array, ""]) -> CriticalPoint:
     family = explicit(family, point.parameter)
     fixed, start = newton.constant((family, point))
     unit = start.unit
@@ -116,7 +123,7 @@ def _critical(family: Family, point: CriticalPoint) -> CriticalPoint:
         rest = family.equations(p, place)
         mode = start.modes[0]
         column, row = borders(rest, mode, x)
-        return SingularPoint(family, place, column, row, unit, point.kind == "branch")
+        return SingularPoint(family, place, column, row, unit, branches)
 
     def advance(loop: _Loop) -> _Loop:
         p, place = loop.parameter, loop.place
@@ -145,7 +152,7 @@ def _critical(family: Family, point: CriticalPoint) -> CriticalPoint:
     end = lax.while_loop(going, advance, begun)
     result = jnp.where(end.done, Result.SUCCESS, Result.NEWTON_FAILED)
     result = jnp.where(jnp.isfinite(end.change), result, Result.NON_FINITE)
-    asymmetric = (end.bent > _SYMMETRIC) & (point.kind == "branch")
+    asymmetric = (end.bent > _SYMMETRIC) & branches
     result = jnp.where(end.done & asymmetric, Result.NO_BRANCH_POINT, result).astype(jnp.int32)
 
     extended = equations(family, end.parameter, end.place)
@@ -159,8 +166,7 @@ def _critical(family: Family, point: CriticalPoint) -> CriticalPoint:
     place = family.place(p, end.place, z[:-1])
     weight = moving_weight(fixed.at(end.parameter)[0])
     mode = end.null / jnp.sqrt(jnp.sum(weight * end.null**2))
-    modes = jnp.concatenate([mode[None], start.modes[1:]])
-    known = p, family.state(p, place), modes
+    known = p, family.state(p, place), mode[None]
     parameter, state, modes = not_a_number(known, result != 0)
     return CriticalPoint(point.kind, parameter, state, modes, unit, family.origin, result)
 

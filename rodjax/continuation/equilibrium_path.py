@@ -63,7 +63,8 @@ def path(
         points: at most so many.
         first_step, longest_step: lengths along the path [rad].
         modes: how many eigenvalues nearest to zero are found, three at least.
-        measures: functions of (scene, state) by name, values of which are kept at every point.
+        measures: functions of (scene, state) by name, values of which are kept at every point;
+            compiled, so written with jax.numpy. A function made anew is compiled anew.
         targets: values of measures (numbers) at which the path ends, by name.
         unit: of the parameter in lengths; |stop - start| by default.
         throw: raise where no next point was found; the error's `partial` holds the path so far.
@@ -90,11 +91,12 @@ def path(
     settings = check_settings(points, first_step, longest_step, modes, measures, targets)
     family = checked_family(scene_of, state, begun.start)
     number = lambda value: jnp.asarray(value, state.position.dtype)
-    walker = Walker(family, number(begun.unit), dict(measures or {}))
+    first = first_motions(len(state.position), settings.modes + 1, state.position.dtype)
+    walker = Walker(family, number(begun.unit), dict(measures or {}), jnp.zeros_like(first))
     place, parameter = Place.of(state), number(begun.start)
     still = jnp.zeros_like(family.guess(parameter, place))
     row = Tangent(still, number(np.sign(begun.stop - begun.start)))
-    step = walker.step(parameter, place, 0.0, row)
+    step = walker.begin(parameter, place, row)
     if int(step.result) != Result.SUCCESS or float(step.corrected) > _NEAR:
         raise ValueError(
             "state: is no equilibrium of scene_of(start); find that first by"
@@ -105,7 +107,6 @@ def path(
             "scene_of: nothing in the scene changes with the parameter at its start; use p in what"
             " holds, loads or makes the rod (as an array, float(p) is a constant)"
         )
-    first = first_motions(len(state.position), settings.modes + 1, still.dtype)
     point = walker.looked(step, first)
     found = Walk(walker, settings, (begun.start, begun.stop)).onward(point)
     if throw:
@@ -172,15 +173,15 @@ def branch(
     if share.shape != (count,) or not np.any(share):
         raise ValueError(f"mode: the point has {count} mode(s), got {mode}")
     family = checked_family(scene_of, point.origin, at)
-    walker = Walker(family, point.unit, dict(measures or {}))
     place = Place.of(point.state)
+    first = first_motions(len(place.position), settings.modes + 1, place.position.dtype)
+    walker = Walker(family, point.unit, dict(measures or {}), jnp.zeros_like(first))
     x = family.guess(point.parameter, place)
     equations = family.equations(point.parameter, place)
     motion = way * jnp.einsum("k,kni->ni", jnp.asarray(share, x.dtype), point.modes)
     rows = of_motion(motion / equations.scales.motion[None], x)
     length = jnp.sqrt(jnp.sum(motion_weight(equations, x) * rows**2))
     row = Tangent(rows / length, jnp.zeros_like(point.parameter))
-    first = first_motions(len(place.position), settings.modes + 1, x.dtype)
     known = jnp.asarray(point.modes, x.dtype)[: settings.modes]
     first = first.at[: len(known)].set(known)
     at_point = walker.point(point.parameter, place, row, first)

@@ -10,6 +10,7 @@ from rodjax.continuation.family import Family, Parameter, Place
 from rodjax.continuation.near_modes import Motions, NearModes, near_modes
 from rodjax.equilibria.motion_norms import moving_weight
 from rodjax.equilibria.unstable_modes import count_below, neutral
+from rodjax.inputs.user_functions import called
 from rodjax.interactions.roles import Role
 from rodjax.measuring.energies import stored, strain_energy_density
 from rodjax.measuring.reactions import Reactions, reactions
@@ -43,9 +44,18 @@ def look(
     """At an equilibrium; `first` is what modes are looked for from."""
     near = near_modes(family, parameter, place, first)
     state, unstable, level, energy, held = _look(family, parameter, place)
-    scene = family.at(parameter)[0] if measures else None
-    named = {name: measure(scene, state) for name, measure in measures.items()}
+    named = _measured(family, parameter, state, measures) if measures else {}
     return Look(state, unstable, near, level, energy, held, named)
+
+
+@compiled
+def _measured(family: Family, parameter: Parameter, state: State, measures: dict[str, Callable]):
+    """In one program: by itself, what has functions in it is compiled at each call."""
+    scene = family.at(parameter)[0]
+    return {
+        name: called(f"measures[{name!r}]", measure, scene, state)
+        for name, measure in measures.items()
+    }
 
 
 @compiled

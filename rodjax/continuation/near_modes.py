@@ -63,11 +63,14 @@ def near_modes(family: Family, parameter: Parameter, place: Place, first: Motion
 
     def improve(loop: _Loop) -> _Loop:
         new = pushed(loop.modes)
-        gram = jnp.einsum("ani,ni,bni->ab", new, weight, new)
-        stiff = jnp.einsum("ani,ni,bni->ab", new, weight, loop.modes) - level * gram
-        root = jnp.linalg.cholesky(0.5 * (gram + gram.T))
-        inside = jax.scipy.linalg.solve_triangular(root, stiff, lower=True)
+        # the most singular of them are larger by many orders: orthogonal columns bear that,
+        # products of the columns with each other do not
+        columns = (jnp.sqrt(weight)[None] * new).reshape(len(new), -1).T
+        root = jnp.linalg.qr(columns, mode="r").T
+        inside = jnp.einsum("ani,ni,bni->ab", new, weight, loop.modes)
+        inside = jax.scipy.linalg.solve_triangular(root, inside, lower=True)
         inside = jax.scipy.linalg.solve_triangular(root, inside.T, lower=True).T
+        inside = inside - level * jnp.eye(len(new), dtype=new.dtype)
         values, vectors = jnp.linalg.eigh(0.5 * (inside + inside.T))
         order = jnp.argsort(jnp.abs(values))
         values, vectors = values[order], vectors[:, order]

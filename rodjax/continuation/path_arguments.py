@@ -8,6 +8,7 @@ import numpy as np
 
 from rodjax.continuation.family import Family, function_of
 from rodjax.equations.rigid_motions import check_held
+from rodjax.inputs.user_functions import check_function
 from rodjax.inputs.validation import all_known, check_finite, check_integer, check_positive
 from rodjax.rods.state import State
 from rodjax.scenes.arguments import check_motion
@@ -52,8 +53,7 @@ def check_settings(points, first_step, longest_step, modes, measures, targets) -
         if given is not None and not isinstance(given, Mapping):
             raise ValueError(f"{name}: give a dictionary by name, got {given!r}")
     for name, measure in (measures or {}).items():
-        if not callable(measure):
-            raise ValueError(f"measures[{name!r}]: give a function of (scene, state)")
+        check_function(**{f"measures[{name!r}]": measure})
     for name in targets or {}:
         if name not in (measures or {}):
             raise ValueError(f"targets[{name!r}]: is none of the measures; name it there too")

@@ -38,6 +38,7 @@ class Walker(NamedTuple):
     family: Family
     unit: jax.Array  # of the parameter
     measures: dict
+    still: Motions  # as many as are looked for, zero
 
     def number(self, value) -> jax.Array:
         """In the precision of the rod."""
@@ -47,26 +48,35 @@ class Walker(NamedTuple):
         """The row of steps to a value of the parameter."""
         return Tangent(jnp.zeros_like(like.x), self.number(sign))
 
-    def step(self, parameter, place: Place, length: float, row: Tangent, predicted=None) -> ArcStep:
-        """The equilibrium at this distance along a row."""
-        predicted = row if predicted is None else predicted
-        aim = Aim(self.number(length), self.unit, row, predicted)
+    def begin(self, parameter, place: Place, row: Tangent) -> ArcStep:
+        """The equilibrium at this value of the parameter, the row along that."""
+        return self._step(parameter, place, 0.0, row, row, self.still)
+
+    def _step(self, parameter, place, length: float, row, predicted, free) -> ArcStep:
+        aim = Aim(self.number(length), self.unit, row, predicted, free)
         return arc_step(self.family, parameter, place, aim, self.number(TOLERANCE))
+
+    def _free(self, point: Point) -> Motions:
+        """Those found at a point that cost nothing."""
+        near, level = point.look.near, point.look.level
+        return jnp.where((jnp.abs(near.values) <= level)[:, None, None], near.modes, self.still)
 
     def from_point(self, point: Point, length: float) -> ArcStep:
         """The equilibrium at this distance along the path."""
-        return self.step(point.parameter, point.place, length, point.tangent)
+        row = point.tangent
+        return self._step(point.parameter, point.place, length, row, row, self._free(point))
 
     def to_parameter(self, point: Point, length: float, value: float) -> ArcStep:
         """The equilibrium at a value of the parameter, about so far along the path."""
         distance = (value - float(point.parameter)) / float(self.unit)
         sign = 1.0 if float(point.tangent.parameter) >= 0 else -1.0
         row = self.along_parameter(point.tangent, sign)
+        free = self._free(point)
         if distance == 0:
-            return self.step(point.parameter, point.place, 0.0, row)
+            return self._step(point.parameter, point.place, 0.0, row, row, free)
         way = jax.tree.map(lambda t: t * (length / abs(distance)), point.tangent)
         predicted = way._replace(parameter=self.number(np.sign(distance)))
-        found = self.step(point.parameter, point.place, abs(distance), row, predicted)
+        found = self._step(point.parameter, point.place, abs(distance), row, predicted, free)
         # the angle between the tangents, not that to the row
         weight = motion_weight(self.family.equations(point.parameter, point.place), way.x)
         of_x = jnp.sum(weight * point.tangent.x * found.tangent.x)

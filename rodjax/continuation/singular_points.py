@@ -18,7 +18,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jax import lax
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from rodjax.continuation.bordered_solve import Bordered
 from rodjax.continuation.family import Family, Parameter, Place, Rows
@@ -37,7 +37,7 @@ class SingularPoint(eqx.Module):
     column: Rows  # b
     row: Rows  # c
     unit: Float[Array, ""]  # of the parameter
-    branches: bool = eqx.field(static=True)
+    branches: Bool[Array, ""]  # or folds; an array, so that both share a program
 
     def packed(self, x: Rows, parameter: Parameter, beta) -> Float[Array, "more 9"]:
         """z."""
@@ -52,7 +52,7 @@ class SingularPoint(eqx.Module):
         x, p, beta = z[:-1], self.parameter(z), z[-1, 1]
         rows = self.family.equations(p, self.place).residual(x) + beta * self.column
         start = self.family.guess(p, self.place)
-        second = jnp.sum(self.row * (x - start)) if self.branches else beta
+        second = jnp.where(self.branches, jnp.sum(self.row * (x - start)), beta)
         return _packed(rows, self.singular(x, p)[1], second, z[-1, 2:])
 
     def singular(self, x: Rows, p: Parameter) -> tuple[Rows, Float[Array, ""]]:
@@ -101,20 +101,21 @@ class _Extended(eqx.Module):
     # what the parameter and a motion along c do to x, the second by v, and to beta, by g
     columns: Float[Array, "2 rows 9"]
     betas: Float[Array, "2"]
-    branches: bool = eqx.field(static=True)
+    branches: Bool[Array, ""]
 
     def multiply(self, dz):
         """Matrix times vector."""
         dx, dp, beta = dz[:-1], dz[-1, 0], dz[-1, 1]
         rows, along = self.bordered.multiply(dx, beta)
         of_g = jnp.sum(self.by_x * dx) + self.by_p * dp
-        return _packed(rows + self.slope * dp, of_g, along if self.branches else beta, dz[-1, 2:])
+        second = jnp.where(self.branches, along, beta)
+        return _packed(rows + self.slope * dp, of_g, second, dz[-1, 2:])
 
     def solve(self, right):
         """Solution, by two numbers: the parameter, and how far x moves along c."""
         f, of_g, second = right[:-1], right[-1, 0], right[-1, 1]
         x, beta = self.bordered.solve(f, jnp.zeros_like(of_g))
-        second = second if self.branches else second - beta
+        second = jnp.where(self.branches, second, second - beta)
         known = jnp.stack([of_g - jnp.sum(self.by_x * x), second])
         numbers = jnp.linalg.solve(self._numbers(), known)
         dx = x + jnp.einsum("i,inr->nr", numbers, self.columns)
@@ -125,14 +126,14 @@ class _Extended(eqx.Module):
         x, p, beta = right[:-1], right[-1, 0], right[-1, 1]
         asked = jnp.einsum("nr,inr->i", x, self.columns) + beta * self.betas
         of_g, second = jnp.linalg.solve(self._numbers().T, asked.at[0].add(p))
-        beta = beta if self.branches else beta - second
+        beta = jnp.where(self.branches, beta, beta - second)
         f, _ = self.bordered.solve_transpose(x - of_g * self.by_x, beta)
         return _packed(f, of_g, second, right[-1, 2:])
 
     def _numbers(self) -> Float[Array, "2 2"]:
         """The equations for both numbers."""
         first = jnp.einsum("nr,inr->i", self.by_x, self.columns).at[0].add(self.by_p)
-        second = jnp.asarray([0.0, 1.0], first.dtype) if self.branches else self.betas
+        second = jnp.where(self.branches, jnp.asarray([0.0, 1.0], first.dtype), self.betas)
         return jnp.stack([first, second])
 
 
