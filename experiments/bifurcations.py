@@ -1,12 +1,10 @@
-"""Paths of equilibria: thresholds, localised buckles, the twisted rod from straight to loop, rings.
+"""Paths of equilibria against theory: thresholds, the elastica, localised buckles, rings.
 
     python experiments/bifurcations.py [--elements N] [--parts NAME ...] [--quick] [--out DIR]
 
 Parts:
     thresholds  clamped column, clamped rod under torsion, the paper's necked rod, refined grids
     elastica    the buckled column against the closed form, far beyond its threshold
-    example     turns against torque and shortening of the necked rod, from straight to its loop;
-                without contact, so that the loop slips through itself, and two turns are lost
     localised   a long rod under tension and torque against Coyne's localised buckle
     ring        a DNA minicircle past Michell's threshold to the figure 8
     profile     diameters that raise the critical turns at fixed mass, by gradients of `rx.critical`
@@ -17,7 +15,6 @@ Writes DIR/bifurcations.png and DIR/summary.json.
 import argparse
 import dataclasses
 import json
-import time
 from pathlib import Path
 
 import _settings  # noqa: F401 (first)
@@ -139,26 +136,6 @@ def _modulus(load: float) -> float:
     return low
 
 
-def example(elements: int) -> dict:
-    """The paper's rod with its neck, turned from straight, and where it buckles to."""
-    scene = turned(rod_of(elements, necked=True))
-    state = rx.placing(scene)
-    began = time.perf_counter()
-    straight = rx.path(scene, state, 0.0, 2.2, measures=MEASURES)
-    first = first_branch(straight)
-    loop = rx.branch(scene, first, (0.0, 2.2), measures=MEASURES)
-    seconds = time.perf_counter() - began
-    stable = [int(straight.unstable[0]), int(loop.unstable[1])]
-    print(
-        f"example: straight until {float(first.parameter):.5f} turns; then {loop.end.value} at"
-        f" {loop.parameters[-1]:.4f} turns, shortened by {loop.measures['shortening'][-1]:.4f} L,"
-        f" {stable[1]} unstable mode(s) beside; {seconds:.0f} s with compilation",
-        flush=True,
-    )
-    paths = {"straight": straight, "loop": loop}
-    return {name: _curves(one) for name, one in paths.items()} | {"seconds": seconds}
-
-
 def _curves(found: rx.EquilibriumPath) -> dict:
     curves = {
         "parameter": found.parameters.tolist(),
@@ -207,11 +184,12 @@ def ring(elements: int) -> dict:
     michell = np.sqrt(3) * bending / torsion
     weld = (rx.Weld(rx.Point(0), rx.Point(-1)),)
     still = rx.ring(length, elements, section, turns=0.0)
-    # what turns the linking number is the natural twist: kappa0 of -2 pi p/L winds the ring by p
+    # what turns the linking number is the natural twist: one of -2 pi p/L winds the ring by p
     tangent = jnp.asarray([0.0, 0.0, -2 * np.pi / length])
 
     def scene_of(turns):
-        rod = dataclasses.replace(still, kappa0=still.kappa0 + turns * tangent[None])
+        curvature = still.natural_curvature + turns * tangent[None]
+        rod = dataclasses.replace(still, natural_curvature=curvature)
         return rx.Scene(rod, rx.Clamped(), joints=weld)
 
     state, _ = rx.equilibrium(scene_of(0.0), rx.placing(scene_of(0.0)), relax=False)
@@ -255,8 +233,8 @@ def profile(elements: int, rounds: int) -> dict:
 
 
 def figure(path: Path, found: dict) -> None:
-    """What was found, a panel each (two of the example)."""
-    drawn = [draw for name, draws in PANELS.items() if name in found for draw in draws]
+    """What was found, a panel each."""
+    drawn = [draw for name, draw in PANELS.items() if name in found]
     if not drawn:
         return
     columns = min(3, len(drawn))
@@ -289,19 +267,6 @@ def _draw_elastica(axis, found: dict) -> None:
     axis.legend(fontsize=8)
 
 
-def _draw_torque(axis, found: dict) -> None:
-    for name in ("straight", "loop"):
-        _stable_dashed(axis, found["example"][name], "parameter", "torque", name)
-    axis.set(xlabel="turns", ylabel="torque [A/L]", title="the paper's rod, without contact")
-    axis.legend(fontsize=8)
-
-
-def _draw_shortening(axis, found: dict) -> None:
-    for name in ("straight", "loop"):
-        _stable_dashed(axis, found["example"][name], "parameter", "shortening", name)
-    axis.set(xlabel="turns", ylabel="shortening [L]", title="dashed: unstable")
-
-
 def _draw_localised(axis, found: dict) -> None:
     one = found["localised"]
     exact = np.array(one["exact_shortening"])
@@ -318,23 +283,14 @@ def _draw_profile(axis, found: dict) -> None:
 
 
 PANELS = {
-    "thresholds": (_draw_thresholds,),
-    "elastica": (_draw_elastica,),
-    "example": (_draw_torque, _draw_shortening),
-    "localised": (_draw_localised,),
-    "profile": (_draw_profile,),
+    "thresholds": _draw_thresholds,
+    "elastica": _draw_elastica,
+    "localised": _draw_localised,
+    "profile": _draw_profile,
 }
 
 
-def _stable_dashed(axes, curve: dict, x: str, y: str, label: str) -> None:
-    """A curve, dashed where it is unstable."""
-    horizontal, vertical = np.array(curve[x]), np.abs(np.array(curve[y]))
-    unstable = np.array(curve["unstable"]) > 0
-    (line,) = axes.plot(horizontal, np.where(unstable, np.nan, vertical), label=label)
-    axes.plot(horizontal, np.where(unstable, vertical, np.nan), "--", color=line.get_color())
-
-
-PARTS = ("thresholds", "elastica", "example", "localised", "ring", "profile")
+PARTS = ("thresholds", "elastica", "localised", "ring", "profile")
 
 
 def main(argv=None) -> int:
@@ -346,7 +302,7 @@ def main(argv=None) -> int:
     parser.add_argument("--out", type=Path, default=Path("results/bifurcations"), metavar="DIR")
     options = parser.parse_args(argv)
     elements = options.elements or (24 if options.quick else 128)
-    parts = options.parts or (("thresholds", "example") if options.quick else PARTS)
+    parts = options.parts or (("thresholds", "localised") if options.quick else PARTS)
     options.out.mkdir(parents=True, exist_ok=True)
     found: dict = {"elements": elements}
 
@@ -359,8 +315,6 @@ def main(argv=None) -> int:
             thresholds(grids, found.setdefault("thresholds", {}))
         elif part == "elastica":
             found[part] = elastica(elements)
-        elif part == "example":
-            found[part] = example(elements)
         elif part == "localised":
             found[part] = localised(2 * elements)
         elif part == "ring":

@@ -152,8 +152,8 @@ def milestones(paths: dict[str, rx.EquilibriumPath], moved: dict) -> dict:
 
 def figure(target: Path, paths: dict[str, rx.EquilibriumPath], moved: dict) -> None:
     """Diagrams against turns, and shapes along the buckled path."""
-    fig = plt.figure(figsize=(14, 8), layout="constrained")
-    grid = fig.add_gridspec(2, 6)
+    fig = plt.figure(figsize=(14, 6.2), layout="constrained")
+    grid = fig.add_gridspec(2, 6, height_ratios=(2.4, 1))
     names = {"torque": "torque [A/L]", "shortening": "shortening [L]", "writhe": "writhe [turns]"}
     buckled = paths["buckled"]
     marks = _marked(buckled)
@@ -175,7 +175,7 @@ def figure(target: Path, paths: dict[str, rx.EquilibriumPath], moved: dict) -> N
         _shape(axis, np.asarray(buckled.states.position[index]))
         turns, unstable = buckled.parameters[index], buckled.unstable[index]
         axis.set_title(f"{letter}: {turns:.2f} turns{', unstable' if unstable else ''}", fontsize=9)
-    fig.savefig(target, dpi=110)
+    fig.savefig(target, dpi=100)
     plt.close(fig)
 
 
