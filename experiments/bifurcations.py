@@ -1,4 +1,4 @@
-"""Paths of equilibria against theory: thresholds, the elastica, localised buckles, rings.
+"""Paths of equilibria against theory: thresholds, the elastica, localised buckles.
 
     python experiments/bifurcations.py [--elements N] [--parts NAME ...] [--quick] [--out DIR]
 
@@ -6,7 +6,6 @@ Parts:
     thresholds  clamped column, clamped rod under torsion, the paper's necked rod, refined grids
     elastica    the buckled column against the closed form, far beyond its threshold
     localised   a long rod under tension and torque against Coyne's localised buckle
-    ring        a DNA minicircle past Michell's threshold to the figure 8
     profile     diameters that raise the critical turns at fixed mass, by gradients of `rx.critical`
 
 Writes DIR/bifurcations.png and DIR/summary.json.
@@ -177,29 +176,6 @@ def localised(elements: int, length: float = 20.0) -> dict:
     return _curves(found) | exact | {"off": off}
 
 
-def ring(elements: int) -> dict:
-    """A naturally straight rod closed to a ring, its linking number raised past Michell's."""
-    length, bending, torsion = 114.0, 50 * 4.114, 100 * 4.114
-    section = rx.Section(stiffness=(bending, bending, torsion), diameter=2.0)
-    michell = np.sqrt(3) * bending / torsion
-    weld = (rx.Weld(rx.Point(0), rx.Point(-1)),)
-    still = rx.ring(length, elements, section, turns=0.0)
-    # what turns the linking number is the natural twist: one of -2 pi p/L winds the ring by p
-    tangent = jnp.asarray([0.0, 0.0, -2 * np.pi / length])
-
-    def scene_of(turns):
-        curvature = still.natural_curvature + turns * tangent[None]
-        rod = dataclasses.replace(still, natural_curvature=curvature)
-        return rx.Scene(rod, rx.Clamped(), joints=weld)
-
-    state, _ = rx.equilibrium(scene_of(0.0), rx.placing(scene_of(0.0)), relax=False)
-    plane = rx.path(scene_of, state, 0.0, 1.2 * michell, longest_step=0.3, modes=6)
-    point = first_branch(plane)
-    off = float(point.parameter) / michell - 1
-    print(f"ring: {elements} elements, off Michell's threshold by {off:.1e}", flush=True)
-    return {"threshold": float(point.parameter), "off": off}
-
-
 def profile(elements: int, rounds: int) -> dict:
     """Diameters of the same mass that raise the critical turns of a clamped rod most."""
     rod = rod_of(elements)
@@ -290,7 +266,7 @@ PANELS = {
 }
 
 
-PARTS = ("thresholds", "elastica", "localised", "ring", "profile")
+PARTS = ("thresholds", "elastica", "localised", "profile")
 
 
 def main(argv=None) -> int:
@@ -317,8 +293,6 @@ def main(argv=None) -> int:
             found[part] = elastica(elements)
         elif part == "localised":
             found[part] = localised(2 * elements)
-        elif part == "ring":
-            found[part] = ring(elements)
         else:
             found[part] = profile(min(elements, 64), 20)
         keep()

@@ -75,6 +75,11 @@ def test_eigenvalues_are_those_of_stability(twisted):
     assert np.all(near > 0) and np.all(lowest > 0)
     np.testing.assert_allclose(near / lowest[:2], near[0] / lowest[0], rtol=1e-6)
     assert path.eigenvalues.shape == (len(path), 4)
+    # bending has no part in the torsional modes that are nearest to zero before
+    assert np.all(
+        np.sum(path.eigenvalues < 0, 1)[path.parameters < 2.1]
+        == path.unstable[path.parameters < 2.1]
+    )
 
 
 @pytest.mark.slow
@@ -225,7 +230,7 @@ def test_wrong_arguments_are_told():
     scene = turned(rod_of(4))
     start = rx.placing(scene)
     modes, one = jnp.ones((2, 5, 6)), jnp.ones(())
-    point = rx.CriticalPoint("branch", 1.79 * one, start, modes, one, start, jnp.asarray(0))
+    point = rx.CriticalPoint("branch", 1.79 * one, start, modes, modes, one, start, jnp.asarray(0))
     fold = dataclasses.replace(point, kind="fold")
     cases = [
         (lambda: rx.path(scene, start, 1.0, 1.0), "stop: must differ from start"),

@@ -339,9 +339,19 @@ def test_bifurcations_in_short_mode(tmp_path):
     off = found["thresholds"]["24"]
     assert off["column"] == pytest.approx(6.7 / 24**2, rel=0.05)
     assert off["twist"] == pytest.approx(0.77 / 24**2, rel=0.05)
-    loop = found["example"]["loop"]
-    assert loop["unstable"][1] == 1 and loop["shortening"][-1] > 0.5
     assert (tmp_path / "bifurcations.png").exists()
+
+
+@pytest.mark.slow
+def test_example_path_in_short_mode(tmp_path):
+    _run("example_path.py", "--quick", "--out", str(tmp_path))
+    found = json.loads((tmp_path / "summary.json").read_text())
+    # straight until the critical turns of the neck, back to a loop that contact holds
+    assert found["straight_until"] == pytest.approx(7.531815 / (2 * np.pi * 0.8 * 0.884), rel=5e-3)
+    assert found["not_quite_straight_until"][0] < found["straight_until"]
+    assert 0 < found["loop_stable_from"] < found["first_contact_at"] < 0.5
+    assert found["ends_by"] == "STOP"
+    assert (tmp_path / "example_path.png").exists()
 
 
 @pytest.mark.slow

@@ -23,10 +23,8 @@ from rodjax.continuation.family import (
     Parameter,
     Place,
     Rows,
-    balanced,
-    elastic_of,
+    held,
     motion_weight,
-    of_motion,
 )
 from rodjax.continuation.near_modes import Motions
 from rodjax.equilibria.motion_norms import moving_weight
@@ -39,11 +37,6 @@ from rodjax.scenes.holds import rows_at
 
 # Increments that are made at most, and how many may fail to shrink.
 _MOST, _PATIENCE = 14, 3
-
-# How motions that cost nothing are resisted, in mean bending stiffness over the length squared.
-# Without that each increment would go along them as far as rounding, or the curvature of the path,
-# says.
-_HELD = 10.0
 
 # What an end may turn in a step [rad].
 _TURN = 0.5 * jnp.pi
@@ -172,9 +165,11 @@ def _driven(family: Family, place: Place, before: Parameter, after: Parameter) -
     def turns(p):
         scene, time = family.at(p)
         frames = rows_at(place.quaternion, scene.held_nodes)
-        held = zip(scene.holds, frames, strict=True)
+        ends_held = zip(scene.holds, frames, strict=True)
         begun = family.origin.time
-        return jnp.stack([ends.increments(one.end, begun, time, frame)[3:] for one, frame in held])
+        return jnp.stack(
+            [ends.increments(one.end, begun, time, frame)[3:] for one, frame in ends_held]
+        )
 
     change = turns(after) - turns(before)
     return jnp.max(jnp.sum(change**2, 1)) > _TURN**2
@@ -203,7 +198,4 @@ def _free(derivative: Derivative, aim: Aim, x) -> Free:
     free = aim.free - share[:, None, None] * along[None]
     sizes = jnp.einsum("kni,ni,kni->k", free, weight, free)
     free = jnp.where((sizes > 0.5)[:, None, None], free, 0.0)
-    stiff = _HELD * elastic_of(scene)
-    columns = stiff * jax.vmap(lambda one: balanced(equations, weight * one, x))(free)
-    rows = jax.vmap(lambda one: of_motion(weight * equations.scales.motion[None] * one, x))(free)
-    return Free(columns, rows)
+    return held(equations, free, x)

@@ -23,6 +23,10 @@ class Free(NamedTuple):
     columns: Float[Array, "k rows 9"]  # U
     rows: Float[Array, "k rows 9"]  # V
 
+    def along(self, x: Rows) -> Float[Array, " k"]:
+        """V^T x."""
+        return jnp.einsum("knr,nr->k", self.rows, x)
+
 
 class Bordered(NamedTuple):
     """A system, and its border of one row and one column."""

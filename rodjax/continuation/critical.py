@@ -16,6 +16,7 @@ from rodjax.continuation.family import (
     balanced,
     elastic_of,
     function_of,
+    held,
     motion_weight,
     of_motion,
 )
@@ -95,11 +96,13 @@ def critical(
         family = converted
     # folds and branch points share a program
     branches = jnp.asarray(point.kind == "branch")
-    first = dataclasses.replace(point, kind="fold", modes=point.modes[:1])
+    # other modes of the point are held, as what costs nothing wherever the path goes
+    free = jnp.concatenate([point.modes[1:], point.free])[: len(point.free)]
+    first = dataclasses.replace(point, kind="fold", modes=point.modes[:1], free=free)
     found = _critical(family, first, branches)
     others = not_a_number(lax.stop_gradient(point.modes[1:]), found.result != 0)
     modes = jnp.concatenate([found.modes, others])
-    found = dataclasses.replace(found, kind=point.kind, modes=modes)
+    found = dataclasses.replace(found, kind=point.kind, modes=modes, free=point.free)
     if throw and all_known(found.result):
         where = f"critical, near the {point.kind} point at {float(point.parameter):g}"
         results.raise_if_failed(found.result, where, found)
@@ -123,7 +126,8 @@ def _critical(family: Family, point: CriticalPoint, branches: Bool[Array, ""]) -
         rest = family.equations(p, place)
         mode = start.modes[0]
         column, row = borders(rest, mode, x)
-        return SingularPoint(family, place, column, row, unit, branches)
+        free = held(rest, start.free, x)
+        return SingularPoint(family, place, column, row, free, unit, branches)
 
     def advance(loop: _Loop) -> _Loop:
         p, place = loop.parameter, loop.place
@@ -158,9 +162,8 @@ def _critical(family: Family, point: CriticalPoint, branches: Bool[Array, ""]) -
     extended = equations(family, end.parameter, end.place)
     z = extended.packed(fixed.guess(end.parameter, end.place), end.parameter, zero)
     # borders and chart have no influence on the point
-    where = lambda one: (one.place, one.column, one.row, one.unit)
-    held = newton.constant(where(extended))
-    extended = eqx.tree_at(where, extended, held)
+    where = lambda one: (one.place, one.column, one.row, one.free, one.unit)
+    extended = eqx.tree_at(where, extended, newton.constant(where(extended)))
     z = newton.root(extended, z)
     p = extended.parameter(z)
     place = family.place(p, end.place, z[:-1])
@@ -168,7 +171,9 @@ def _critical(family: Family, point: CriticalPoint, branches: Bool[Array, ""]) -
     mode = end.null / jnp.sqrt(jnp.sum(weight * end.null**2))
     known = p, family.state(p, place), mode[None]
     parameter, state, modes = not_a_number(known, result != 0)
-    return CriticalPoint(point.kind, parameter, state, modes, unit, family.origin, result)
+    return dataclasses.replace(
+        point, parameter=parameter, state=state, modes=modes, origin=family.origin, result=result
+    )
 
 
 def _bent(equations, mode, column, beta) -> Float[Array, ""]:

@@ -26,6 +26,7 @@ class CriticalPoint(eqx.Module):
         modes: motions that cost no energy, displacement [m] and body spin [rad] of every node, of
             unit norm (the integral of |spin|^2 + |displacement|^2/L^2 [m]). A branch point of a
             rod that may buckle into any direction has two.
+        free: motions that cost nothing beside these (a buckled rod about its axis); zeros are none.
         unit: of the parameter, in which changes of it are compared with motions.
         origin: the state from which the schedules of the scenes count.
         result: a `Result` as a number; 0 is success.
@@ -42,6 +43,7 @@ class CriticalPoint(eqx.Module):
     parameter: Float[Array, ""]
     state: State
     modes: Float[Array, "k nodes 6"]
+    free: Float[Array, "m nodes 6"]
     unit: Float[Array, ""]
     origin: State
     result: Int[Array, ""]

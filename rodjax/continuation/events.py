@@ -84,7 +84,8 @@ def _guess(walker: Walker, before: Point, low, high, event: Event) -> CriticalPo
     state = walker.family.state(step.parameter, step.place)
     none = jnp.zeros((), jnp.int32)
     origin = walker.family.origin
-    return CriticalPoint(event.kind, step.parameter, state, modes, walker.unit, origin, none)
+    free = walker.free(low[1])
+    return CriticalPoint(event.kind, step.parameter, state, modes, free, walker.unit, origin, none)
 
 
 def _along(walker: Walker, step: ArcStep) -> Float[Array, "nodes 6"]:

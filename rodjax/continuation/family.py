@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from rodjax.continuation.bordered_solve import Free
 from rodjax.equations.equations import Equations
 from rodjax.equations.schemes import AtRest, rest_on_path
 from rodjax.equilibria.motion_norms import moving_weight
@@ -24,6 +25,9 @@ Parameter = Float[Array, ""]
 # What the resistance makes of an eigenvalue that is zero, in mean bending stiffness over the length
 # squared.
 _RESISTANCE = 1e-6
+
+# How motions are resisted that nothing else resists, in the same unit.
+_HELD = 10.0
 
 # How far a node may turn in one increment [rad].
 _TURN = 0.6
@@ -191,3 +195,15 @@ def motion_weight(equations: Equations[AtRest], x: Rows) -> Rows:
     weight = moving_weight(scene) / jnp.sum(scene.rod.length)
     weight = weight * equations.scales.motion[None] ** 2
     return of_motion(weight, x)
+
+
+def held(equations: Equations[AtRest], motions: Float[Array, "k nodes 6"], x: Rows) -> Free:
+    """What resists motions of unit norm that nothing else resists; zeros are none.
+
+    Without it increments would go along them as far as rounding says.
+    """
+    weight = moving_weight(equations.scene)
+    stiff = _HELD * elastic_of(equations.scene)
+    columns = stiff * jax.vmap(lambda one: balanced(equations, weight * one, x))(motions)
+    rows = jax.vmap(lambda one: of_motion(weight * equations.scales.motion[None] * one, x))(motions)
+    return Free(columns, rows)

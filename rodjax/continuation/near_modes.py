@@ -20,6 +20,9 @@ from rodjax.numerics.compilation import compiled
 # Iterations at most, and the change of values that ends them, of the largest of them.
 _MOST, _RESTS = 60, 1e-9
 
+# By how much of anything the first subspace is disturbed, of unit norm.
+_DISTURBED = 0.1
+
 Motions = Float[Array, "k nodes 6"]
 
 
@@ -49,12 +52,19 @@ class _Loop(NamedTuple):
 
 @compiled
 def near_modes(family: Family, parameter: Parameter, place: Place, first: Motions) -> NearModes:
-    """The modes that a subspace leads to."""
+    """The modes that a subspace leads to.
+
+    It is disturbed first: modes of the point before may be of one symmetry all (the torsion of a
+    straight rod), and would lead to none of another, whatever its eigenvalue.
+    """
     x = family.guess(parameter, place)
     derivative = family.derivative(parameter, place, x)
     resisted = derivative.equations
     weight = moving_weight(resisted.scene)
     level = resistance_of(resisted.scene)
+    waves = first_motions(first.shape[1], len(first), x.dtype)
+    sizes = jnp.einsum("kni,ni,kni->k", waves, weight, waves)
+    first = first + _DISTURBED * waves / jnp.sqrt(sizes)[:, None, None]
 
     def pushed(modes):
         right = jax.vmap(lambda mode: balanced(resisted, weight * mode, x))(modes)

@@ -56,7 +56,7 @@ class Walker(NamedTuple):
         aim = Aim(self.number(length), self.unit, row, predicted, free)
         return arc_step(self.family, parameter, place, aim, self.number(TOLERANCE))
 
-    def _free(self, point: Point) -> Motions:
+    def free(self, point: Point) -> Motions:
         """Those found at a point that cost nothing."""
         near, level = point.look.near, point.look.level
         return jnp.where((jnp.abs(near.values) <= level)[:, None, None], near.modes, self.still)
@@ -64,14 +64,14 @@ class Walker(NamedTuple):
     def from_point(self, point: Point, length: float) -> ArcStep:
         """The equilibrium at this distance along the path."""
         row = point.tangent
-        return self._step(point.parameter, point.place, length, row, row, self._free(point))
+        return self._step(point.parameter, point.place, length, row, row, self.free(point))
 
     def to_parameter(self, point: Point, length: float, value: float) -> ArcStep:
         """The equilibrium at a value of the parameter, about so far along the path."""
         distance = (value - float(point.parameter)) / float(self.unit)
         sign = 1.0 if float(point.tangent.parameter) >= 0 else -1.0
         row = self.along_parameter(point.tangent, sign)
-        free = self._free(point)
+        free = self.free(point)
         if distance == 0:
             return self._step(point.parameter, point.place, 0.0, row, row, free)
         way = jax.tree.map(lambda t: t * (length / abs(distance)), point.tangent)

@@ -20,7 +20,7 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool, Float
 
-from rodjax.continuation.bordered_solve import Bordered
+from rodjax.continuation.bordered_solve import Bordered, Free
 from rodjax.continuation.family import Family, Parameter, Place, Rows
 from rodjax.numerics import newton
 
@@ -36,6 +36,7 @@ class SingularPoint(eqx.Module):
     place: Place  # from which x counts
     column: Rows  # b
     row: Rows  # c
+    free: Free  # what holds motions that cost nothing besides
     unit: Float[Array, ""]  # of the parameter
     branches: Bool[Array, ""]  # or folds; an array, so that both share a program
 
@@ -58,11 +59,13 @@ class SingularPoint(eqx.Module):
     def singular(self, x: Rows, p: Parameter) -> tuple[Rows, Float[Array, ""]]:
         """v and g."""
         residual = self.family.equations(p, self.place).residual
+        free = lax.stop_gradient(self.free)
 
         def multiply(both):
             v, g = both[:-1], both[-1, 0]
             moved = jax.jvp(residual, (x,), (v,))[1]
             along = jnp.sum(self.row * v)
+            moved = moved + jnp.einsum("k,knr->nr", free.along(v), free.columns)
             return _packed(moved + g * self.column, along, both[-1, 1], both[-1, 2:])
 
         right = _packed(jnp.zeros_like(x), jnp.ones_like(p), jnp.zeros_like(p))
@@ -72,7 +75,8 @@ class SingularPoint(eqx.Module):
     def _bordered(self, x: Rows, p: Parameter) -> Bordered:
         fixed = lax.stop_gradient
         derivative = newton.constant(self.family.derivative(p, self.place, x))
-        return Bordered(derivative, *fixed((self.column, self.row, jnp.zeros_like(p))))
+        border = self.column, self.row, jnp.zeros_like(p), self.free
+        return Bordered(derivative, *fixed(border))
 
     def linearize(self, z) -> "_Extended":
         """The derivative at z, whose nodes must not have turned from the place."""
