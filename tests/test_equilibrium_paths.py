@@ -237,7 +237,7 @@ def test_wrong_arguments_are_told():
         (lambda: rx.path(lambda p: 3.0, start, 0.0, 1.0), "scene_of: must return a Scene"),
         (lambda: rx.path(scene, start, 0.0, 1.0, points=1), "points"),
         (lambda: rx.path(scene, start, 0.0, 1.0, modes=1), "modes"),
-        (lambda: check_settings(2, 0.1, 0.1, 4, {"a": 1}, None), "give a function"),
+        (lambda: check_settings(2, 0.1, 0.1, 4, {"a": 1}, None), "must be a function"),
         (lambda: rx.path(scene, start, 0.0, 1.0, targets={"a": 1.0}), "is none of the measures"),
         (lambda: rx.branch(scene, fold, (0.0, 2.0)), "point: is a fold"),
         (lambda: rx.branch(scene, point, (0.0, 1.0)), "do not hold the branch point"),

@@ -16,6 +16,7 @@ FOLDER = ROOT / "notebooks"
 NAMES = sorted(path.stem for path in FOLDER.iterdir() if path.suffix in (".py", ".ipynb"))
 # of each notebook at least so many, so that one that comes to show nothing is seen
 PICTURES = {
+    "bifurcation": 3,
     "first_rod": 3,
     "fitting": 2,
     "hockle": 2,
