@@ -8,8 +8,8 @@ A, C = PERSISTENCE * KT, 2 * PERSISTENCE * KT  # [pN nm^2]
 DIAMETER = 2.0  # [nm]
 DRAG = (3e-3, 1.5e-3, 0.025)  # normal, tangential [pN us/nm^2], of spin [pN us]
 BATH = rx.Bath(KT)
-# salt of 10 mM: k_B T l_B (charges per length)^2 [pN], Debye length [nm]; of more salt a strand's
-# repulsion is shorter than elements of 5 nm with two points each resolve, and strands pass
+# salt of 10 mM: k_B T l_B (charges per length)^2 [pN], Debye length [nm]; with those of 100 mM the
+# hat curve's strands passed through each other
 CHARGES = rx.DebyeHueckel(strength=KT * 0.7 * 2.4**2, screening=3.0, floor=0.5)
 
 

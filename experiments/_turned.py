@@ -33,9 +33,8 @@ def turned(
     yields = force * float(scene.rod.compliance[0, 0]) * SPACING * elements
 
     def seen(state):
-        frames = state.quaternion[molecule_nodes]
-        relative = rx.rotations.multiply(rx.rotations.conjugate(frames[:-1]), frames[1:])
-        twist = jnp.mean(rx.rotations.logarithm(relative)[:, 2]) / SPACING
+        curvature = rx.measures.curvature(scene.rod, state.quaternion)
+        twist = jnp.mean(curvature[HANDLE : HANDLE + elements, 2])
         height = state.position[molecule_nodes, 2]
         return {"extension": height[-1] - height[0] - yields, "torque": C * twist}
 

@@ -92,10 +92,9 @@ figure
 # The buckled states lie at *fewer* turns than the straight ones, and are unstable (dashed): the
 # rod has nothing near by to go to, and jumps. They are what it must be pushed across to jump
 # before: the nearer to the threshold, the smaller the push. In shape they are a helix that becomes
-# a loop in a plane:
+# a loop:
 
 # %%
-last = buckled.state(-1)
 picture = Figure((8, 2.6), layout="constrained")
 panels = picture.subplots(1, 3, subplot_kw={"projection": "3d"})
 for axes, i in zip(panels, (2, len(buckled) // 2, -1), strict=True):

@@ -195,6 +195,20 @@ def _leaning(rod, lean, turns):
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("split", [1e-6, 0.05])
+def test_a_pair_of_modes_that_is_split_has_the_load_of_one(twisted, split):
+    """The other mode of the pair is not held where it costs something."""
+    scene, path = twisted
+    rod = scene.rod
+    stiffness = rod.stiffness * jnp.asarray([[1 + split, 1.0, 1.0]])
+    other = dataclasses.replace(scene, rod=dataclasses.replace(rod, stiffness=stiffness))
+    found = float(rx.critical(other, path.critical[0]).parameter)
+    walked = rx.path(other, rx.placing(other), 0.0, 2.2, longest_step=0.05)
+    apart = [abs(found / float(one.parameter) - 1) for one in walked.critical]
+    assert walked.critical and min(apart) < 1e-8
+
+
+@pytest.mark.slow
 def test_an_imperfection_makes_a_fold_whose_load_has_derivatives(twisted):
     scene, path = twisted
     lean = jnp.asarray(0.05)

@@ -165,11 +165,9 @@ def _driven(family: Family, place: Place, before: Parameter, after: Parameter) -
     def turns(p):
         scene, time = family.at(p)
         frames = rows_at(place.quaternion, scene.held_nodes)
-        ends_held = zip(scene.holds, frames, strict=True)
         begun = family.origin.time
-        return jnp.stack(
-            [ends.increments(one.end, begun, time, frame)[3:] for one, frame in ends_held]
-        )
+        both = zip(scene.holds, frames, strict=True)
+        return jnp.stack([ends.increments(one.end, begun, time, frame)[3:] for one, frame in both])
 
     change = turns(after) - turns(before)
     return jnp.max(jnp.sum(change**2, 1)) > _TURN**2

@@ -35,7 +35,7 @@ class Bordered(NamedTuple):
     column: Rows  # b
     row: Rows  # c
     corner: Float[Array, ""]  # d
-    free: Free | None = None
+    free: Free
 
     def solve(self, f: Rows, g) -> tuple[Rows, Float[Array, ""]]:
         """x and y."""
@@ -46,28 +46,19 @@ class Bordered(NamedTuple):
     def solve_transpose(self, f: Rows, g) -> tuple[Rows, Float[Array, ""]]:
         """Those of the transposed system: A^T x + c y = f, b.x + d y = g."""
         border = self._border()
-        border = _Border(border.rows, border.columns, border.corner)
-        system = self.system
-        x, y = _refined(
-            system.solve_transpose, system.multiply_transpose, border, f, _first(g, border)
-        )
+        border = border._replace(columns=border.rows, rows=border.columns)
+        multiply = self.system.multiply_transpose
+        x, y = _refined(self.system.solve_transpose, multiply, border, f, _first(g, border))
         return x, y[0]
 
     def multiply(self, x: Rows, y) -> tuple[Rows, Float[Array, ""]]:
         """Matrix times vector, of the system as it is."""
         return self.system.multiply(x) + self.column * y, jnp.sum(self.row * x) + self.corner * y
 
-    def multiply_transpose(self, x: Rows, y) -> tuple[Rows, Float[Array, ""]]:
-        """Transposed matrix times vector."""
-        transposed = self.system.multiply_transpose(x)
-        return transposed + self.row * y, jnp.sum(self.column * x) + self.corner * y
-
     def _border(self) -> "_Border":
         """All rows and columns: y' = V^T x is one more unknown for each free motion."""
         column, row = self.column[None], self.row[None]
         corner = jnp.asarray(self.corner).reshape(1, 1)
-        if self.free is None:
-            return _Border(column, row, corner)
         count = len(self.free.rows)
         corner = jnp.diag(jnp.concatenate([corner[0], -jnp.ones((count,), corner.dtype)]))
         join = lambda one, others: jnp.concatenate([one, others])

@@ -32,6 +32,9 @@ from rodjax.rods.state import State
 # Newton increments at most; what the last may change of the parameter over its unit, and of x.
 _MOST, _PARAMETER, _MOTION = 12, 1e-9, 1e-3
 
+# How much of a mode may lie along what is held: the critical load is wrong by about that.
+_HELD_SHARE = 1e-8
+
 # By how much a disturbance that a branch point needs may bend the rod [rad].
 _SYMMETRIC = 1e-5
 
@@ -43,6 +46,7 @@ class _Loop(NamedTuple):
     bent: Float[Array, ""]
     change: Float[Array, ""]
     iterations: Int[Array, ""]
+    holds: Array  # whether motions are held
     done: Array
 
 
@@ -121,17 +125,17 @@ def _critical(family: Family, point: CriticalPoint, branches: Bool[Array, ""]) -
     fixed, start = newton.constant((family, point))
     unit = start.unit
 
-    def equations(family, p, place):
+    def equations(family, p, place, holds):
         x = family.guess(p, place)
         rest = family.equations(p, place)
         mode = start.modes[0]
         column, row = borders(rest, mode, x)
-        free = held(rest, start.free, x)
+        free = held(rest, jnp.where(holds, start.free, 0.0), x)
         return SingularPoint(family, place, column, row, free, unit, branches)
 
     def advance(loop: _Loop) -> _Loop:
         p, place = loop.parameter, loop.place
-        extended = equations(fixed, p, place)
+        extended = equations(fixed, p, place, loop.holds)
         z = extended.packed(fixed.guess(p, place), p, jnp.zeros_like(p))
         derivative = extended.linearize(z)
         dz = derivative.solve(-extended.residual(z))
@@ -145,21 +149,28 @@ def _critical(family: Family, point: CriticalPoint, branches: Bool[Array, ""]) -
         place = fixed.place(p, place, z[:-1])
         bent = _bent(fixed.equations(p, place), start.modes[0], extended.column, dz[-1, 1])
         null = fixed.equations(p, place).change(derivative.columns[1])
-        return _Loop(p, place, null, bent, change, loop.iterations + 1, done)
+        # what costs nothing beside the mode may cost something in this scene (a pair that is
+        # split): held, it would move the point
+        weight = moving_weight(fixed.at(p)[0])
+        share = jnp.max(jnp.abs(jnp.einsum("kni,ni,ni->k", start.free, weight, null)))
+        share = share / jnp.sqrt(jnp.sum(weight * null**2))
+        unlike = done & loop.holds & (share > _HELD_SHARE)
+        count = jnp.where(unlike, 0, loop.iterations + 1)
+        return _Loop(p, place, null, bent, change, count, loop.holds & ~unlike, done & ~unlike)
 
     def going(loop: _Loop):
         return ~loop.done & jnp.isfinite(loop.change) & (loop.iterations < _MOST)
 
     zero, none = jnp.zeros_like(unit), jnp.zeros((), jnp.int32)
     place, no = Place.of(start.state), jnp.asarray(False)
-    begun = _Loop(start.parameter, place, start.modes[0], zero, zero, none, no)
+    begun = _Loop(start.parameter, place, start.modes[0], zero, zero, none, ~no, no)
     end = lax.while_loop(going, advance, begun)
     result = jnp.where(end.done, Result.SUCCESS, Result.NEWTON_FAILED)
     result = jnp.where(jnp.isfinite(end.change), result, Result.NON_FINITE)
     asymmetric = (end.bent > _SYMMETRIC) & branches
     result = jnp.where(end.done & asymmetric, Result.NO_BRANCH_POINT, result).astype(jnp.int32)
 
-    extended = equations(family, end.parameter, end.place)
+    extended = equations(family, end.parameter, end.place, end.holds)
     z = extended.packed(fixed.guess(end.parameter, end.place), end.parameter, zero)
     # borders and chart have no influence on the point
     where = lambda one: (one.place, one.column, one.row, one.free, one.unit)
