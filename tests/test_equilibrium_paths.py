@@ -148,6 +148,23 @@ def _modulus(load):
 
 
 @pytest.mark.slow
+def test_a_branch_that_comes_back_to_its_path_has_a_branch_point_there():
+    """Seen from the branch: the parameter turns, and as many modes are unstable as before."""
+    rod = rod_of(24)
+    scene_of = pressed(rod)
+    straight = rx.path(scene_of, rx.placing(turned(rod)), 30.0, 45.0, longest_step=0.5)
+    point = straight.critical[0]
+    out = rx.branch(scene_of, point, (30.0, 46.0))
+    back = rx.path(scene_of, out.state(-1), 46.0, 30.0)
+    assert back.end is rx.PathEnd.START and np.all(back.unstable == 0)
+    x = [np.asarray(back.states.position)[i, 12, :2] for i in (0, -1)]
+    np.testing.assert_allclose(x[0], -x[1], atol=1e-6)
+    (found,) = back.critical
+    assert found.kind == "branch"
+    assert float(found.parameter) == pytest.approx(float(point.parameter), rel=1e-8)
+
+
+@pytest.mark.slow
 def test_seeded_steps_give_one_diagram(twisted):
     scene, path = twisted
     random = np.random.default_rng(7)

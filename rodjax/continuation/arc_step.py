@@ -159,6 +159,27 @@ def arc_step(
     )
 
 
+@compiled
+def along(family: Family, parameter: Parameter, place: Place, x: Rows) -> Float[Array, "nodes 6"]:
+    """The motion of a tangent, which is the mode of a fold, of unit norm."""
+    equations = family.equations(parameter, place)
+    motion = equations.change(x)
+    return motion / jnp.sqrt(jnp.sum(moving_weight(equations.scene) * motion**2))
+
+
+@compiled
+def ahead(family: Family, parameter: Parameter, place: Place, change: Rows) -> Place:
+    """The place to which unknowns change, not corrected."""
+    return family.place(parameter, place, family.guess(parameter, place) + change)
+
+
+@compiled
+def cosine(family: Family, parameter: Parameter, place: Place, one: Tangent, other: Tangent):
+    """Of the angle between two directions at a place."""
+    weight = motion_weight(family.equations(parameter, place), one.x)
+    return jnp.sum(weight * one.x * other.x) + one.parameter * other.parameter
+
+
 def _driven(family: Family, place: Place, before: Parameter, after: Parameter) -> Bool[Array, ""]:
     """Whether an end is turned further than can be told from fewer turns."""
 

@@ -4,17 +4,20 @@ from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
 
-from rodjax.continuation.arc_step import ArcStep
+from rodjax.continuation.arc_step import ArcStep, ahead, along
 from rodjax.continuation.critical import critical
 from rodjax.continuation.diagram import CriticalPoint, Kind
-from rodjax.continuation.path_steps import Point, Walker
-from rodjax.equilibria.motion_norms import moving_weight
+from rodjax.continuation.family import Place
+from rodjax.continuation.path_steps import Point, Walker, fits
 from rodjax.numerics.results import Result
 
 # How often an interval with a critical point is halved until Newton's method finds that from it.
 _HALVINGS = 24
+
+
+# How steep a path may be at right angles to which another crosses it, and the steps to get there.
+_ACROSS, _SECANTS = 0.02, 5
 
 
 class Event(NamedTuple):
@@ -24,18 +27,26 @@ class Event(NamedTuple):
     change: int  # of the number of unstable modes
 
 
+_SIDEWAYS = Event("branch", 0)
+
+
 def events(before: Point, after: Point) -> list[Event]:
-    """What the tangents and the numbers of unstable modes tell."""
+    """What the tangents and the numbers of unstable modes tell.
+
+    A path that turns and is as stable as before came to another at right angles, and leaves it on
+    the other side: a branch point seen from the branch (Event("branch", 0)).
+    """
     ahead = float(before.tangent.parameter), float(after.tangent.parameter)
     change = int(after.look.unstable) - int(before.look.unstable)
     folds = ahead[0] * ahead[1] < 0
     if not folds:
         return [Event("branch", change)] if change else []
-    found = [Event("fold", int(np.sign(change)) if change else 0)]
+    if not change:
+        # a fold so near to a point that its mode counts as free there is one all the same
+        return [_SIDEWAYS if _free(before) == _free(after) else Event("fold", 0)]
+    found = [Event("fold", int(np.sign(change)))]
     rest = change - found[0].change
-    if change and rest:
-        found.append(Event("branch", rest))
-    return found
+    return [*found, Event("branch", rest)] if rest else found
 
 
 def locate(
@@ -58,41 +69,89 @@ def locate(
         if int(step.result) != Result.SUCCESS:
             return None
         point = walker.looked(step, before.look.near.modes)
-        if any(one.kind == event.kind for one in events(low[1], point)):
+        if _holds(low[1], point, event):
             high = (middle, point)
         else:
             low = (middle, point)
     return None
 
 
+def _free(point: Point) -> int:
+    """How many modes cost nothing at a point."""
+    return int(np.sum(np.abs(np.asarray(point.look.near.values)) <= float(point.look.level)))
+
+
+def _turns(event: Event) -> bool:
+    return event.kind == "fold" or event.change == 0
+
+
+def _holds(first: Point, second: Point, event: Event) -> bool:
+    """Whether what is sought lies between these."""
+    between = events(first, second)
+    if _turns(event):
+        return any(map(_turns, between))
+    return any(not _turns(one) for one in between)
+
+
 def _guess(walker: Walker, before: Point, low, high, event: Event) -> CriticalPoint | None:
     """Where interpolation has the critical point."""
     (a, first), (b, second) = low, high
     modes = None
-    if event.kind == "fold":
+    if _turns(event):
         of_first, of_second = float(first.tangent.parameter), float(second.tangent.parameter)
     else:
         modes, of_first, of_second = _crossing(first, second, abs(event.change))
         if modes is None:
             return None
-    part = of_first / (of_first - of_second) if of_first != of_second else 0.5
-    step = walker.from_point(before, a + float(np.clip(part, 0.02, 0.98)) * (b - a))
-    if int(step.result) != Result.SUCCESS:
+    ends = (a, of_first), (b, of_second)
+    if event == _SIDEWAYS:
+        step, place = _across(walker, before, *ends)
+    else:
+        step = walker.from_point(before, _interpolated(*ends))
+        place = step.place if int(step.result) == Result.SUCCESS else None
+    if place is None:
         return None
     if modes is None:
-        modes = _along(walker, step)[None]
-    state = walker.family.state(step.parameter, step.place)
+        modes = along(walker.family, step.parameter, step.place, step.tangent.x)[None]
+    state = walker.family.state(step.parameter, place)
     none = jnp.zeros((), jnp.int32)
     origin = walker.family.origin
     free = walker.free(low[1])
     return CriticalPoint(event.kind, step.parameter, state, modes, free, walker.unit, origin, none)
 
 
-def _along(walker: Walker, step: ArcStep) -> Float[Array, "nodes 6"]:
-    """The motion along the path, which is the mode of a fold, of unit norm."""
-    equations = walker.family.equations(step.parameter, step.place)
-    motion = equations.change(step.tangent.x)
-    return motion / jnp.sqrt(jnp.sum(moving_weight(equations.scene) * motion**2))
+def _interpolated(first: tuple[float, float], second: tuple[float, float]) -> float:
+    """Where the line through two points (s, value) is zero, well between them."""
+    (a, of_first), (b, of_second) = first, second
+    part = of_first / (of_first - of_second) if of_first != of_second else 0.5
+    return a + float(np.clip(part, 0.02, 0.98)) * (b - a)
+
+
+def _across(walker: Walker, before: Point, first, second) -> tuple[ArcStep, Place | None]:
+    """A step to near where the parameter turns between two lengths, and the place of the crossing.
+
+    At the crossing itself the matrix of steps is singular. The critical load is off by the square
+    of how far the place is.
+    """
+    known = [first, second]
+    for _ in range(_SECANTS):
+        length = _interpolated(first, second)
+        step = walker.from_point(before, length)
+        if not fits(step, length, gently=False):
+            return step, None
+        slope = float(step.tangent.parameter)
+        known.append((length, slope))
+        if slope * first[1] > 0:
+            first = length, slope
+        else:
+            second = length, slope
+        if abs(slope) <= _ACROSS:
+            break
+    # length as a parabola of slope
+    nearest = np.array(sorted(known, key=lambda one: abs(one[1]))[:3])
+    crossing = np.polyfit(nearest[:, 1], nearest[:, 0], 2)[-1]
+    left = walker.number(crossing - length)
+    return step, ahead(walker.family, step.parameter, step.place, left * step.tangent.x)
 
 
 def _crossing(first: Point, second: Point, count: int):
@@ -125,7 +184,14 @@ def _between(walker: Walker, first: Point, second: Point, found: CriticalPoint) 
 
 def distance(walker: Walker, parameter, position, point: Point) -> float:
     """Of an equilibrium from a point, by displacements over L and the parameter."""
-    length = float(jnp.sum(jnp.linalg.norm(jnp.diff(point.place.position, axis=0), axis=1)))
-    moved = np.asarray(position) - np.asarray(point.place.position)
-    gap = float(parameter - point.parameter) / float(walker.unit)
-    return float(np.sqrt(np.mean(np.sum(moved**2, 1)) / length**2 + gap**2))
+    return float(distances(walker, parameter, position, [point])[0])
+
+
+def distances(walker: Walker, parameter, position, points: list[Point]) -> np.ndarray:
+    """Of an equilibrium from points, by displacements over L and the parameter."""
+    positions = np.stack([np.asarray(one.place.position) for one in points])
+    parameters = np.array([float(one.parameter) for one in points])
+    lengths = np.sum(np.linalg.norm(np.diff(positions, axis=1), axis=2), 1)
+    moved = np.sum((np.asarray(position) - positions) ** 2, 2)
+    gaps = (float(parameter) - parameters) / float(walker.unit)
+    return np.sqrt(np.mean(moved, 1) / lengths**2 + gaps**2)

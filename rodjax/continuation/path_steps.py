@@ -6,8 +6,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rodjax.continuation.arc_step import Aim, ArcStep, Tangent, arc_step
-from rodjax.continuation.family import Family, Place, motion_weight
+from rodjax.continuation.arc_step import Aim, ArcStep, Tangent, arc_step, cosine
+from rodjax.continuation.family import Family, Place
 from rodjax.continuation.looking import Look, look
 from rodjax.continuation.near_modes import Motions
 from rodjax.numerics.results import Result
@@ -78,9 +78,7 @@ class Walker(NamedTuple):
         predicted = way._replace(parameter=self.number(np.sign(distance)))
         found = self._step(point.parameter, point.place, abs(distance), row, predicted, free)
         # the angle between the tangents, not that to the row
-        weight = motion_weight(self.family.equations(point.parameter, point.place), way.x)
-        of_x = jnp.sum(weight * point.tangent.x * found.tangent.x)
-        along = of_x + point.tangent.parameter * found.tangent.parameter
+        along = cosine(self.family, point.parameter, point.place, point.tangent, found.tangent)
         return found._replace(along=along)
 
     def looked(self, step: ArcStep, first: Motions) -> Point:

@@ -8,7 +8,7 @@ import numpy as np
 
 from rodjax.continuation.arc_step import ArcStep
 from rodjax.continuation.diagram import EquilibriumPath, PathEnd
-from rodjax.continuation.events import Event, distance, events, locate
+from rodjax.continuation.events import Event, distances, events, locate
 from rodjax.continuation.path_arguments import Settings
 from rodjax.continuation.path_steps import Point, Walker, fits, next_length
 from rodjax.numerics.results import ModelWarning, Result
@@ -127,10 +127,10 @@ class Walk(NamedTuple):
         last, walker = passed[-1], self.walker
         if len(passed) < 8:
             return None
-        length = distance(walker, last.parameter, last.place.position, passed[-2])
-        for i, one in enumerate(passed[:-4]):
-            gap = distance(walker, last.parameter, last.place.position, one)
-            if gap < _AGAIN * length and _turned(last, one) < _AGAIN * length:
+        gaps = distances(walker, last.parameter, last.place.position, passed)
+        near = _AGAIN * gaps[-2]
+        for i in np.flatnonzero(gaps[:-4] < near):
+            if _turned(last, passed[i]) < near:
                 return PathEnd.CLOSED if i == 0 else PathEnd.VISITED
         return None
 
