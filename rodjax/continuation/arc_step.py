@@ -87,6 +87,7 @@ class _Loop(NamedTuple):
     slow: Int[Array, ""]
     arrived: Bool[Array, ""]
     tangent: Tangent  # found by the increment after the last
+    pull: Float[Array, ""]
     done: Bool[Array, ""]
 
 
@@ -107,11 +108,12 @@ def arc_step(
 
     def correct(loop: _Loop) -> _Loop:
         x, p, arrived = loop.x, loop.p, loop.arrived
+        pairs = family.pairs(p, place, x)
         equations = family.equations(p, place)
-        lacking = equations.residual(x)
+        lacking, slope = family.residual(p, place, x, pairs)
         short = aim.length - jnp.sum(row * (x - start))
         short = short - aim.row.parameter * (p - parameter) / unit
-        bordered = _bordered(family, p, place, x, row, aim)
+        bordered = _bordered(family.derivative(p, place, x, pairs), x, row, unit * slope, aim)
         # once arrived the same system gives the tangent
         right = jnp.where(arrived, 0.0, -lacking), jnp.where(arrived, 1.0, short)
         dx, dp = bordered.solve(*right)
@@ -129,11 +131,12 @@ def arc_step(
             arrived | ((left <= tolerance) & (scale >= 1.0)),
             # solved increments are those of the unknowns counted from where they have come to
             Tangent(dx, dp),
+            jnp.max(jnp.abs(slope)),
             arrived,
         )
 
     none, no = jnp.zeros((), jnp.int32), jnp.asarray(False)
-    begun = _Loop(first, p_first, jnp.ones_like(unit), none, none, no, aim.row, no)
+    begun = _Loop(first, p_first, jnp.ones_like(unit), none, none, no, aim.row, 0.0 * unit, no)
     end = lax.while_loop(unfinished, correct, begun)
     x, p = end.x, end.p
     result = jnp.where(end.done, Result.SUCCESS, Result.NEWTON_FAILED)
@@ -151,11 +154,11 @@ def arc_step(
         p,
         new,
         tangent,
-        results.join(result, turned, driven, overflow(equations, x)),
+        results.join(result, turned, driven, overflow(family.pairs(p, place, x))),
         jnp.sqrt(far),
         jnp.sum(row * tangent.x) + aim.row.parameter * tangent.parameter,
         end.iterations,
-        jnp.max(jnp.abs(family.slope(p, place, x))),
+        end.pull,
     )
 
 
@@ -194,12 +197,10 @@ def _driven(family: Family, place: Place, before: Parameter, after: Parameter) -
     return jnp.max(jnp.sum(change**2, 1)) > _TURN**2
 
 
-def _bordered(family: Family, p, place: Place, x, row, aim: Aim) -> Bordered:
+def _bordered(derivative: Derivative, x, row, column, aim: Aim) -> Bordered:
     """The derivative of the equations by solved increments, and by the parameter over its unit."""
-    derivative = family.derivative(p, place, x)
     lift = lambda dx: derivative.equations.lift(x, dx)
     of_increments = lambda row: jax.linear_transpose(lift, x)(row)[0]
-    column = aim.unit * family.slope(p, place, x)
     corner = jnp.asarray(aim.row.parameter, x.dtype)
     free = _free(derivative, aim, x)
     free = free._replace(rows=jax.vmap(of_increments)(free.rows))

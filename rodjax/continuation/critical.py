@@ -131,24 +131,23 @@ def _critical(family: Family, point: CriticalPoint, branches: Bool[Array, ""]) -
         mode = start.modes[0]
         column, row = borders(rest, mode, x)
         free = held(rest, jnp.where(holds, start.free, 0.0), x)
-        return SingularPoint(family, place, column, row, free, unit, branches)
+        pairs = fixed.pairs(p, place, x)
+        return SingularPoint(family, place, column, row, free, unit, branches, pairs)
 
     def advance(loop: _Loop) -> _Loop:
         p, place = loop.parameter, loop.place
         extended = equations(fixed, p, place, loop.holds)
-        z = extended.packed(fixed.guess(p, place), p, jnp.zeros_like(p))
-        derivative = extended.linearize(z)
-        dz = derivative.solve(-extended.residual(z))
-        size = fixed.equations(p, place).size(dz[:-1])
+        found, here = extended.increment(p), fixed.equations(p, place)
+        size = here.size(found.x)
         # not further than the chart and the linearisation hold
         scale = jnp.minimum(1.0, 0.3 / jnp.maximum(size, 1e-12))
-        z = z + scale * dz
-        p = extended.parameter(z)
-        change = jnp.abs(dz[-1, 0])
+        x = fixed.guess(p, place) + scale * found.x
+        p = p + scale * unit * found.parameter
+        change = jnp.abs(found.parameter)
         done = (change <= _PARAMETER) & (size <= _MOTION)
-        place = fixed.place(p, place, z[:-1])
-        bent = _bent(fixed.equations(p, place), start.modes[0], extended.column, dz[-1, 1])
-        null = fixed.equations(p, place).change(derivative.columns[1])
+        place = fixed.place(p, place, x)
+        bent = _bent(here, start.modes[0], extended.column, found.beta)
+        null = here.change(found.null)
         # what costs nothing beside the mode may cost something in this scene (a pair that is
         # split): held, it would move the point
         weight = moving_weight(fixed.at(p)[0])

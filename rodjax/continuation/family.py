@@ -13,11 +13,15 @@ from rodjax.continuation.bordered_solve import Free
 from rodjax.equations.equations import Equations
 from rodjax.equations.schemes import AtRest, rest_on_path
 from rodjax.equilibria.motion_norms import moving_weight
+from rodjax.equilibria.path_following import near
+from rodjax.interactions.screening import NearPairs
+from rodjax.interactions.self_contact import FoundContact
+from rodjax.interactions.sites import sites_of
 from rodjax.numerics import rotations
 from rodjax.rods.balance import Internal
 from rodjax.rods.state import State
 from rodjax.scenes.holds import impose, rows_at
-from rodjax.scenes.scene import Scene
+from rodjax.scenes.scene import Found, Scene
 
 Rows = Float[Array, "rows 9"]
 Parameter = Float[Array, ""]
@@ -67,22 +71,32 @@ class Family(eqx.Module):
             return scene, jnp.asarray(time, self.origin.time.dtype)
         return found, self.origin.time
 
-    def equations(self, parameter: Parameter, place: Place) -> Equations[AtRest]:
-        """What a place must solve, increments counted from it."""
-        scene, time = self.at(parameter)
-        return self._at_rest(scene, time, place)
+    def equations(
+        self, parameter: Parameter, place: Place, pairs: NearPairs | None = None
+    ) -> Equations[AtRest]:
+        """What a place must solve, increments counted from it.
 
-    def derivative(self, parameter: Parameter, place: Place, x: Rows) -> "Derivative":
+        Args:
+            pairs: strands known to be near each other; None: looked for wherever the rod is.
+        """
+        scene, time = self.at(parameter)
+        return self._at_rest(scene, time, place, pairs)
+
+    def pairs(self, parameter: Parameter, place: Place, x: Rows) -> NearPairs | None:
+        """Strands near each other at x, found once for all that asks there."""
+        return near(self.equations(parameter, place), x)
+
+    def derivative(
+        self, parameter: Parameter, place: Place, x: Rows, pairs: NearPairs | None
+    ) -> "Derivative":
         """Their derivative at x, by increments as `Equations.lift` takes them."""
         scene, time = self.at(parameter)
         resistance = resistance_of(scene) * moving_weight(scene)
-        equations = self._at_rest(scene, time, place, resistance)
+        equations = self._at_rest(scene, time, place, pairs, resistance)
         system = equations.linearize(x)
-        # which solver strands in contact need is known where each is solved
-        factors = system.eliminate() if scene.contact is None else system
-        return Derivative(equations, system, factors, x)
+        return Derivative(equations, system, system.eliminate(), x)
 
-    def _at_rest(self, scene, time, place: Place, resistance=None) -> Equations[AtRest]:
+    def _at_rest(self, scene, time, place: Place, pairs, resistance=None) -> Equations[AtRest]:
         zero = jnp.zeros_like(place.position)
         rest = rest_on_path(
             (place.position, place.quaternion),
@@ -91,7 +105,13 @@ class Family(eqx.Module):
             Internal(zero, zero, jnp.zeros_like(place.force)),
             resistance,
         )
-        return Equations.of(scene, rest, self.origin, time)
+        equations = Equations.of(scene, rest, self.origin, time)
+        if pairs is None:
+            return equations
+        scene = equations.scene
+        # where they touch may depend on the parameter, which of them are near does not
+        contact = FoundContact(sites_of(scene.contact, scene.rod, scene.closed), pairs)
+        return dataclasses.replace(equations, found=Found((), contact))
 
     def guess(self, parameter: Parameter, place: Place) -> Rows:
         """The unknowns of the place itself."""
@@ -104,10 +124,12 @@ class Family(eqx.Module):
         quaternion = rotations.normalize(motion.quaternion)
         return Place(motion.position, quaternion, equations.force(x), equations.joints(x))
 
-    def slope(self, parameter: Parameter, place: Place, x: Rows) -> Rows:
-        """Derivative of the residual by the parameter."""
-        residual = lambda p: self.equations(p, place).residual(x)
-        return jax.jvp(residual, (parameter,), (jnp.ones_like(parameter),))[1]
+    def residual(
+        self, parameter: Parameter, place: Place, x: Rows, pairs: NearPairs | None
+    ) -> tuple[Rows, Rows]:
+        """The residual at x, and its derivative by the parameter."""
+        residual = lambda p: self.equations(p, place, pairs).residual(x)
+        return jax.jvp(residual, (parameter,), (jnp.ones_like(parameter),))
 
     def state(self, parameter: Parameter, place: Place) -> State:
         """The place as a state of its scene."""

@@ -58,7 +58,7 @@ def near_modes(family: Family, parameter: Parameter, place: Place, first: Motion
     straight rod), and would lead to none of another, whatever its eigenvalue.
     """
     x = family.guess(parameter, place)
-    derivative = family.derivative(parameter, place, x)
+    derivative = family.derivative(parameter, place, x, family.pairs(parameter, place, x))
     resisted = derivative.equations
     weight = moving_weight(resisted.scene)
     level = resistance_of(resisted.scene)

@@ -14,6 +14,8 @@ systems); v is then the null vector. The unknowns are x, the parameter p and a d
                      by itself, as long as nothing else does (Werner & Spence 1984).
 """
 
+from typing import NamedTuple
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -22,7 +24,17 @@ from jaxtyping import Array, Bool, Float
 
 from rodjax.continuation.bordered_solve import Bordered, Free
 from rodjax.continuation.family import Family, Parameter, Place, Rows
+from rodjax.interactions.screening import NearPairs
 from rodjax.numerics import newton
+
+
+class Increment(NamedTuple):
+    """Of the unknowns of a `SingularPoint`."""
+
+    x: Rows
+    parameter: Float[Array, ""]  # over its unit
+    beta: Float[Array, ""]
+    null: Rows  # v before it
 
 
 class SingularPoint(eqx.Module):
@@ -39,6 +51,7 @@ class SingularPoint(eqx.Module):
     free: Free  # what holds motions that cost nothing besides
     unit: Float[Array, ""]  # of the parameter
     branches: Bool[Array, ""]  # or folds; an array, so that both share a program
+    pairs: NearPairs | None  # strands near each other
 
     def packed(self, x: Rows, parameter: Parameter, beta) -> Float[Array, "more 9"]:
         """z."""
@@ -51,14 +64,14 @@ class SingularPoint(eqx.Module):
     def residual(self, z):
         """What z lacks."""
         x, p, beta = z[:-1], self.parameter(z), z[-1, 1]
-        rows = self.family.equations(p, self.place).residual(x) + beta * self.column
+        rows = self._equations(p).residual(x) + beta * self.column
         start = self.family.guess(p, self.place)
         second = jnp.where(self.branches, jnp.sum(self.row * (x - start)), beta)
         return _packed(rows, self.singular(x, p)[1], second, z[-1, 2:])
 
     def singular(self, x: Rows, p: Parameter) -> tuple[Rows, Float[Array, ""]]:
         """v and g."""
-        residual = self.family.equations(p, self.place).residual
+        residual = self._equations(p).residual
         free = lax.stop_gradient(self.free)
 
         def multiply(both):
@@ -74,14 +87,49 @@ class SingularPoint(eqx.Module):
 
     def _bordered(self, x: Rows, p: Parameter) -> Bordered:
         fixed = lax.stop_gradient
-        derivative = newton.constant(self.family.derivative(p, self.place, x))
+        derivative = self.family.derivative(p, self.place, x, self.pairs)
+        derivative = newton.constant(derivative)
         border = self.column, self.row, jnp.zeros_like(p), self.free
         return Bordered(derivative, *fixed(border))
+
+    def _equations(self, p: Parameter):
+        return self.family.equations(p, self.place, self.pairs)
+
+    def increment(self, p: Parameter) -> "Increment":
+        """Newton's increment of z at the place itself, with beta zero.
+
+        Derivatives of g, along d, are those of the same bordered system: g' of
+        [A b; c 0] [v' g'] = [-A' v, 0], A' the derivative of A along d.
+        """
+        x = self.family.guess(p, self.place)
+        residual = lambda x, p: self._equations(p).residual(x)
+        bordered = self._bordered(x, p)
+        solve = jax.vmap(bordered.solve)
+        lacking, slope = self.family.residual(p, self.place, x, self.pairs)
+        zero, one = jnp.zeros_like(p), jnp.ones_like(p)
+        rights = jnp.stack([-lacking, -self.unit * slope, jnp.zeros_like(x)])
+        along, (beta, by_p, g) = solve(rights, jnp.stack([zero, zero, one]))
+        null = along[2]
+
+        def pushed(x, p):
+            return jax.jvp(lambda x: residual(x, p), (x,), (null,))[1]
+
+        curved = lambda dx, dp: jax.jvp(pushed, (x, p), (dx, dp))[1]
+        curved = jax.vmap(curved)(along, jnp.stack([zero, self.unit, zero]))
+        of_g = solve(-curved, jnp.zeros_like(jnp.stack([g, g, g])))[1]
+        # x goes on by the first, and by so much of the other two that g is zero, and the second
+        # of the equations above holds
+        second = jnp.where(self.branches, jnp.stack([zero, one]), jnp.stack([by_p, g]))
+        known = jnp.stack([-g - of_g[0], jnp.where(self.branches, zero, -beta)])
+        numbers = jnp.linalg.solve(jnp.stack([of_g[1:], second]), known)
+        dx = along[0] + jnp.einsum("i,inr->nr", numbers, along[1:])
+        beta = beta + numbers[0] * by_p + numbers[1] * g
+        return Increment(dx, numbers[0], beta, null)
 
     def linearize(self, z) -> "_Extended":
         """The derivative at z, whose nodes must not have turned from the place."""
         x, p = z[:-1], self.parameter(z)
-        slope = self.unit * self.family.slope(p, self.place, x)
+        slope = self.unit * self.family.residual(p, self.place, x, self.pairs)[1]
         g = lambda x, p: self.singular(x, p)[::-1]
         (g, null), (by_x, by_p) = jax.value_and_grad(g, (0, 1), has_aux=True)(x, p)
         bordered = self._bordered(x, p)

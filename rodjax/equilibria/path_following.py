@@ -34,6 +34,7 @@ from rodjax.equations.rigid_motions import Hold
 from rodjax.equations.schemes import AtRest, Reference, rest_on_path
 from rodjax.equilibria.motion_norms import moving_weight, resisting_weight
 from rodjax.equilibria.unstable_modes import count_below, neutral
+from rodjax.interactions.screening import NearPairs
 from rodjax.numerics import newton, results, rotations
 from rodjax.numerics.results import Result
 from rodjax.rods.rod import Rod
@@ -185,7 +186,7 @@ def follow(
                 Result.ROTATION_TOO_LARGE,
             ),
             code(driven, Result.DRIVE_TOO_FAST),
-            overflow(trial, x),
+            overflow(near(trial, x)),
         )
         converged = result == Result.SUCCESS
         least = neutral(scene, trial.force(x))
@@ -292,11 +293,17 @@ def spin_is_neutral(equations: Equations[AtRest], x: Float[Array, "rows 9"]) -> 
     return jnp.abs(turn - 1) < 1e3 * jnp.sqrt(jnp.finfo(x.dtype).eps)
 
 
-def overflow(equations: Equations[AtRest], x) -> Int[Array, ""]:
-    """A code that tells whether pairs in contact were left out."""
+def near(equations: Equations[AtRest], x) -> NearPairs | None:
+    """Strands near each other at x; None without contact."""
     if equations.scene.contact is None:
+        return None
+    return equations.scene.find_contact(equations.motion(x).position).pairs
+
+
+def overflow(pairs: NearPairs | None) -> Int[Array, ""]:
+    """A code that tells whether pairs in contact were left out."""
+    if pairs is None:
         return results.as_code(Result.SUCCESS)
-    pairs = equations.scene.find_contact(equations.motion(x).position).pairs
     return jnp.where(pairs.overflow, Result.CAPACITY_OVERFLOW, Result.SUCCESS).astype(jnp.int32)
 
 
