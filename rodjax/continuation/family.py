@@ -13,7 +13,7 @@ from rodjax.continuation.bordered_solve import Free
 from rodjax.equations.equations import Equations
 from rodjax.equations.schemes import AtRest, rest_on_path
 from rodjax.equilibria.motion_norms import moving_weight
-from rodjax.equilibria.path_following import near
+from rodjax.equilibria.path_following import near_strands
 from rodjax.interactions.screening import NearPairs
 from rodjax.interactions.self_contact import FoundContact
 from rodjax.interactions.sites import sites_of
@@ -84,7 +84,7 @@ class Family(eqx.Module):
 
     def pairs(self, parameter: Parameter, place: Place, x: Rows) -> NearPairs | None:
         """Strands near each other at x, found once for all that asks there."""
-        return near(self.equations(parameter, place), x)
+        return near_strands(self.equations(parameter, place), x)
 
     def derivative(
         self, parameter: Parameter, place: Place, x: Rows, pairs: NearPairs | None

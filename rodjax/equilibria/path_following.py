@@ -186,7 +186,7 @@ def follow(
                 Result.ROTATION_TOO_LARGE,
             ),
             code(driven, Result.DRIVE_TOO_FAST),
-            overflow(near(trial, x)),
+            overflow(near_strands(trial, x)),
         )
         converged = result == Result.SUCCESS
         least = neutral(scene, trial.force(x))
@@ -293,7 +293,7 @@ def spin_is_neutral(equations: Equations[AtRest], x: Float[Array, "rows 9"]) -> 
     return jnp.abs(turn - 1) < 1e3 * jnp.sqrt(jnp.finfo(x.dtype).eps)
 
 
-def near(equations: Equations[AtRest], x) -> NearPairs | None:
+def near_strands(equations: Equations[AtRest], x) -> NearPairs | None:
     """Strands near each other at x; None without contact."""
     if equations.scene.contact is None:
         return None
