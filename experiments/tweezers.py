@@ -5,10 +5,11 @@
 A molecule with A = 50 nm kT and C = 100 nm kT moves in water without inertia, shaken by thermal
 noise. First it is pulled at both ends, half of the replicas straight at first and half crumpled,
 and the mean tangent of its middle third is compared with theory: of elements of this length (their
-transfer operator), and, drawn on from two element lengths to none, of the wormlike chain. Then it
-is held between two handles, pulled and turned; extension, torque (C <kappa_3>) and the plectoneme
-are followed, and twist and writhe are compared with the turns after every block. Writes
-DIR/tweezers.png and DIR/summary.json, which keep the other part with `--only`.
+transfer operator), at two element lengths and, of the longer ones, two steps; and, for elements of
+no length, of the wormlike chain. Then it is held between two handles, pulled and turned; extension,
+torque (C <kappa_3>) and the plectoneme are followed, and twist and writhe are compared with the
+turns after every block. Writes DIR/tweezers.png and DIR/summary.json, which keep the other part
+with `--only`. About 20 minutes of one core.
 """
 
 import argparse
@@ -23,9 +24,8 @@ from _pulled import pulls
 from _turned import turned
 from _wormlike import exact, marko_siggia
 
-# force [pN], duration [us], what is nearer along the molecule does not repel [nm]: loops are
-# smaller under a stronger pull, and pass through themselves if that is too much
-TURNED = ((0.5, 100.0, 25.0), (1.0, 80.0, 25.0), (2.0, 60.0, 15.0))
+# force [pN], turns, duration [us]; of a molecule of so many elements
+TURNED, ELEMENTS = ((0.5, 3.0, 140.0), (1.0, 3.5, 120.0), (2.0, 4.0, 120.0)), 30
 
 
 def figure(path: Path, extensions: list[dict], turns: list[dict]) -> None:
@@ -41,7 +41,9 @@ def figure(path: Path, extensions: list[dict], turns: list[dict]) -> None:
             [one["force"] for one in extensions],
             xerr=[2 * one["error"] for one in extensions],
             fmt="o",
-            label="measured, of elements of no length (2 standard errors)",
+            ms=4,
+            capsize=3,
+            label="measured, less what elements add (2 standard errors)",
         )
     axes[0, 0].set(xlabel="extension over length", ylabel="force [pN]")
     axes[0, 0].legend(fontsize=8)
@@ -87,7 +89,7 @@ def main(argv=None) -> int:
             summary["turned"] = [turned(1.0, 16, 1.0, 0.5, 8)]
         else:
             summary["turned"] = [
-                turned(force, 30, 3.0, time, 80, apart) for force, time, apart in TURNED
+                turned(force, ELEMENTS, turns, time, 80) for force, turns, time in TURNED
             ]
     figure(options.out / "tweezers.png", summary["extensions"], summary["turned"])
     kept.write_text(json.dumps(summary, indent=1))

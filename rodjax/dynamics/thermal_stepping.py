@@ -48,7 +48,8 @@ def thermal_step(
     dt = jnp.asarray(dt, dtype)
     stop = state.time + dt
     key, drawn = jax.random.split(start.key)
-    white = jax.random.normal(drawn, state.rate.shape, dtype)
+    # a barrier, or XLA draws each number anew wherever it is used: half of the step on CPUs
+    white = lax.optimization_barrier(jax.random.normal(drawn, state.rate.shape, dtype))
     too_fast = drives.too_fast(scene, state.time, stop, state.quaternion)
     codes = []
     if too_fast is not None:
