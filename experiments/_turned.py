@@ -9,15 +9,12 @@ import time
 import jax
 import jax.numpy as jnp
 import numpy as np
-from _molecule import BATH, CHARGES, DRAG, A, C, molecule
+from _molecule import BATH, CHARGES, DRAG, EXCLUSION, A, C, molecule
 
 import rodjax as rx
 
 SPACING = 5.0  # [nm]
 HANDLE = 9  # elements of each handle, of which every third node is held
-# what is nearer along the molecule does not repel [nm]. With 25 nm, at 2 pN, the first loop, formed
-# under 35 pN nm of torque, was drawn tight and passed through itself
-EXCLUSION = 15.0
 UP = (0.0, 0.0, 1.0)
 
 

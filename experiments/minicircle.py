@@ -6,7 +6,8 @@ A ring of 336 base pairs (A = 50 nm kT, C = 100 nm kT) that is naturally straigh
 many turns and shaken by thermal noise in water, in replicas that start alike. Twist and writhe sum
 to the turns whatever happens; how they share them fluctuates. A ring closed without turns is as
 often one way as the other: its mean writhe is zero (detailed balance), in the mean of all and over
-time. Writes DIR/minicircle.png and DIR/summary.json.
+time. Each distribution is compared with that of samples by Metropolis' method (`_ring_samples`),
+which has no steps of time. Writes DIR/minicircle.png and DIR/summary.json.
 """
 
 import argparse
@@ -19,7 +20,8 @@ import jax
 import jax.numpy as jnp
 import matplotlib.pyplot as plt
 import numpy as np
-from _molecule import BATH, CHARGES, DIAMETER, DRAG, A, C
+from _molecule import BATH, CHARGES, DIAMETER, DRAG, EXCLUSION, KT, A, C
+from _ring_samples import writhes
 
 import rodjax as rx
 from rodjax.rods.winding import writhe_of
@@ -35,7 +37,9 @@ def ring_of(turns: float, elements: int) -> rx.Scene:
     return rx.Scene(
         rod,
         loads=(rx.LinearDrag(*DRAG),),
-        contact=rx.Contact(CHARGES, segments=elements, cutoff=14.0, exclusion=25.0),
+        contact=rx.Contact(
+            CHARGES, segments=elements, cutoff=14.0, exclusion=EXCLUSION, pairs_per_segment=16
+        ),
         joints=(rx.Weld(rx.Point(0), rx.Point(-1)),),
     )
 
@@ -80,7 +84,6 @@ def shaken(turns: float, elements: int, replicas: int, duration: float) -> dict:
             means.append({name: np.asarray(averages.mean[name]) for name in seen_names()})
             histogram = histogram + np.mean(np.asarray(averages.mean["histogram"]), 0) / calls
     writhe = np.array([one["writhe"] for one in means])  # (calls, replicas)
-    square = float(np.mean([one["square"] for one in means]))
     each = writhe.mean(0)
     late, early = writhe[calls // 2 :].mean(0), writhe[: calls // 2].mean(0)
     over = lambda values: float(np.std(values, ddof=1) / np.sqrt(len(values)))
@@ -93,7 +96,7 @@ def shaken(turns: float, elements: int, replicas: int, duration: float) -> dict:
         "duration": calls * steps * dt,
         "writhe": float(each.mean()),
         "writhe_error": over(each),
-        "deviation": float(np.sqrt(max(square - each.mean() ** 2, 0.0))),
+        **_deviation(np.array([one["square"] for one in means]), writhe),
         "drift": float(np.mean(late - early)),
         "drift_error": over(late - early),
         "linking_error": float(np.max(np.abs(linking - turns))),
@@ -104,8 +107,38 @@ def shaken(turns: float, elements: int, replicas: int, duration: float) -> dict:
     }
     print(
         f"{turns:.2f} turns: Wr {found['writhe']:+.3f} +- {found['writhe_error']:.3f}, deviation"
-        f" {found['deviation']:.3f}, drift {found['drift']:+.3f} +- {found['drift_error']:.3f},"
-        f" Tw + Wr off by {found['linking_error']:.1e}; {found['result']},"
+        f" {found['deviation']:.3f} +- {found['deviation_error']:.3f},"
+        f" drift {found['drift']:+.3f} +- {found['drift_error']:.3f}, Tw + Wr off by"
+        f" {found['linking_error']:.1e}; {found['result']}, {found['seconds']:.0f} s",
+        flush=True,
+    )
+    return found
+
+
+def _deviation(squares: np.ndarray, writhe: np.ndarray) -> dict:
+    """Deviation of the writhe and its error, of means (calls or sweeps, replicas) of Wr^2, Wr."""
+    mean = writhe.mean()
+    each = squares.mean(0) - 2 * mean * writhe.mean(0) + mean**2  # of each replica, about the mean
+    found = float(np.sqrt(each.mean()))
+    error = float(np.std(each, ddof=1) / np.sqrt(len(each)) / (2 * found))
+    return {"deviation": found, "deviation_error": error}
+
+
+def sampled(turns: float, elements: int, chains: int, sweeps: int) -> dict:
+    """The writhe by Metropolis' method."""
+    began = time.perf_counter()
+    writhe = writhes(ring_of(turns, elements), KT, chains, sweeps, round(100 * turns))
+    each = writhe.mean(0)
+    found = {
+        "writhe": float(each.mean()),
+        "writhe_error": float(np.std(each, ddof=1) / np.sqrt(chains)),
+        **_deviation(writhe**2, writhe),
+        "histogram": (np.histogram(writhe, EDGES)[0] / writhe.size).tolist(),
+        "seconds": time.perf_counter() - began,
+    }
+    print(
+        f"  by Metropolis' method: Wr {found['writhe']:+.3f} +- {found['writhe_error']:.3f},"
+        f" deviation {found['deviation']:.3f} +- {found['deviation_error']:.3f};"
         f" {found['seconds']:.0f} s",
         flush=True,
     )
@@ -121,18 +154,25 @@ def figure(path: Path, rings: list[dict]) -> None:
     """Distributions of the writhe, and how its mean and deviation grow with the turns."""
     fig, (left, right) = plt.subplots(1, 2, figsize=(11, 4.2), layout="constrained")
     width = EDGES[1] - EDGES[0]
-    for one in rings:
+    for color, one in zip(("C0", "C2", "C3"), rings, strict=False):
         label = f"{one['turns']:g} turns"
-        left.stairs(np.array(one["histogram"]) / width, EDGES, label=label)
-    left.set(xlabel="writhe", ylabel="probability density", xlim=(-1.5, 2.5))
+        left.stairs(np.array(one["histogram"]) / width, EDGES, color=color, label=label)
+        samples = np.array(one["sampled"]["histogram"]) / width
+        left.stairs(samples, EDGES, color=color, ls=":", lw=2)
+    left.set(xlabel="writhe", ylabel="probability density", xlim=(-0.5, 1.5))
+    left.set_title("dotted: Metropolis' method", fontsize=10)
     left.legend(fontsize=8)
-    turns = [one["turns"] for one in rings]
-    mean, deviation = ([one[name] for one in rings] for name in ("writhe", "deviation"))
-    right.errorbar(turns, mean, yerr=deviation, fmt="o-", capsize=3, label="mean and deviation")
+    turns = np.array([one["turns"] for one in rings])
+    for shift, fmt, label, of in (
+        (-0.02, "o", "heat bath, mean and deviation", rings),
+        (0.02, "s", "Metropolis' method", [one["sampled"] for one in rings]),
+    ):
+        mean, deviation = ([one[name] for one in of] for name in ("writhe", "deviation"))
+        right.errorbar(turns + shift, mean, yerr=deviation, fmt=fmt, capsize=3, label=label)
     right.plot(turns, turns, "k:", label="all of the turns")
     right.set(xlabel="linking number", ylabel="writhe")
     right.legend(fontsize=8)
-    fig.savefig(path, dpi=150)
+    fig.savefig(path, dpi=100)
     plt.close(fig)
 
 
@@ -143,8 +183,12 @@ def main(argv=None) -> int:
     parser.add_argument("--out", type=Path, default=Path("results/minicircle"), metavar="DIR")
     options = parser.parse_args(argv)
     options.out.mkdir(parents=True, exist_ok=True)
-    size = (16, 4, 0.4) if options.quick else (24, 8, 3.0)
-    rings = [shaken(turns, *size) for turns in ((0.0,) if options.quick else (0.0, 1.0, 2.0))]
+    elements, replicas, duration = (16, 4, 0.4) if options.quick else (24, 16, 2.5)
+    chains, sweeps = (8, 200) if options.quick else (32, 2000)
+    rings = []
+    for turns in (0.0,) if options.quick else (0.0, 1.0, 2.0):
+        found = shaken(turns, elements, replicas, duration)
+        rings.append({**found, "sampled": sampled(turns, elements, chains, sweeps)})
     figure(options.out / "minicircle.png", rings)
     (options.out / "summary.json").write_text(json.dumps(rings, indent=1))
     return 0
