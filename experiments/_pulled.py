@@ -145,6 +145,7 @@ def _compared(averages: rx.Averages) -> dict:
     count = each.shape[0]
     own = float(np.sqrt(np.mean(np.asarray(averages.error["frames"]) ** 2) / count))
     halves = np.asarray(each[: count // 2]), np.asarray(each[count // 2 :])
+    scatter = np.hypot(*(np.std(one, ddof=1) / np.sqrt(len(one)) for one in halves))
     return {
         "tangent": float(mean["frames"]),
         "error": max(float(error["frames"]), own),
@@ -152,7 +153,7 @@ def _compared(averages: rx.Averages) -> dict:
         "error_by_blocks": own,
         "tangent_by_edges": float(mean["edges"]),
         "straight_less_crumpled": float(np.mean(halves[0]) - np.mean(halves[1])),
-        "its_error": 2 * own,
+        "its_error": max(float(scatter), 2 * own),
     }
 
 

@@ -63,14 +63,14 @@ def turned(force: float, elements: int, most: float, duration: float, blocks: in
         "turns_a_relaxation": most / (0.9 * duration)
         * DRAG[0] * (SPACING * elements / np.pi) ** 2 / force,
         "seconds": time.perf_counter() - began,
-        **_told(rows, force),
+        **_told(rows, force, SPACING * elements),
         "rows": rows,
         "shape": np.asarray(moving.state.position).tolist(),
     }  # fmt: skip
     print(
-        f"{force:5.2f} pN: largest fall {found['jump']:.1f} nm at {found['jump_at_turns']:.2f}"
-        f" turns; torque {found['plateau']:.1f} +- {found['plateau_error']:.1f} pN nm after it, at"
-        f" most {found['largest_torque']:.1f} (cold coexistence near"
+        f"{force:5.2f} pN: torque at most {found['largest_torque']:.1f} pN nm, at"
+        f" {found['jump_at_turns']:.2f} turns, with a fall of {found['jump']:.1f} nm; from half a"
+        f" turn later {found['plateau']:.1f} +- {found['plateau_error']:.1f} (cold coexistence near"
         f" {found['cold_coexistence_torque']:.1f}, instability"
         f" {found['cold_instability_torque']:.1f}); {found['nm_a_turn']:.0f} nm a turn; Tw + Wr off"
         f" by {off:.1e}; {found['result']}, {found['seconds']:.0f} s",
@@ -116,26 +116,32 @@ def _row(state, mean: dict, angle, half: float) -> dict:
     }
 
 
-def _told(rows: list[dict], force: float) -> dict:
-    """Where it buckled, the torque that was left, and how much each further turn takes."""
+def _told(rows: list[dict], force: float, length: float) -> dict:
+    """Where it buckled, the torque that was left, and how much each further turn takes.
+
+    It buckles where the torque is largest. What comes after less than a third of the length is left
+    is not looked at: the plectoneme has no more to take.
+    """
     pick = lambda name: np.array([row[name] for row in rows])
     turns, extension, torque = pick("turns"), pick("extension"), pick("torque")
-    # a fall between means of three blocks, as single ones are noisy
-    smooth = np.convolve(extension, np.ones(3) / 3, mode="valid")
-    fall = smooth[:-3] - smooth[3:] if len(smooth) > 3 else np.zeros(1)
-    jump = min(int(np.argmax(fall)) + 2, len(rows) - 1)
-    after = turns > turns[min(jump + 3, len(turns) - 1)]
-    parts = (
-        np.array_split(torque[after], 6) if np.sum(after) >= 12 else [torque[-2:-1], torque[-1:]]
-    )
-    means = np.array([np.mean(part) for part in parts])
-    slope = np.polyfit(turns[after], extension[after], 1)[0] if np.sum(after) > 2 else np.nan
+    # means of three blocks, as single ones are noisy
+    smooth = lambda values: np.convolve(values, np.ones(3) / 3, mode="same")[1:-1]
+    spent = np.nonzero(smooth(extension) < length / 3)[0]
+    end = int(spent[0]) + 1 if len(spent) else len(rows)
+    jump = int(np.argmax(smooth(torque[:end]))) + 1
+    fall = smooth(extension)[jump - 1] - smooth(extension)[min(jump + 2, len(rows) - 3)]
+    # the fall itself is over half a turn later
+    after = (turns > turns[jump] + 0.5) & (np.arange(len(rows)) < end)
+    many = np.sum(after) >= 12
+    means = np.array([np.mean(part) for part in np.array_split(torque[after], 6)] if many else [])
+    slope = np.polyfit(turns[after], extension[after], 1)[0] if many else np.nan
     return {
         "jump_at_turns": float(turns[jump]),
-        "jump": float(np.max(fall)),
-        "largest_torque": float(np.max(torque)),
-        "plateau": float(np.mean(means)),
-        "plateau_error": float(np.std(means, ddof=1) / np.sqrt(len(means))),
+        "jump": float(fall),
+        "largest_torque": float(smooth(torque[:end])[jump - 1]),
+        "plateau": float(np.mean(means)) if many else np.nan,
+        "plateau_error": float(np.std(means, ddof=1) / np.sqrt(6)) if many else np.nan,
+        "used_up_at_turns": float(turns[end - 1]) if len(spent) else None,
         "nm_a_turn": -float(slope),
         "cold_coexistence_torque": float(np.sqrt(2 * A * force)),
         "cold_instability_torque": float(2 * np.sqrt(A * force)),

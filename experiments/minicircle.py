@@ -183,7 +183,7 @@ def main(argv=None) -> int:
     parser.add_argument("--out", type=Path, default=Path("results/minicircle"), metavar="DIR")
     options = parser.parse_args(argv)
     options.out.mkdir(parents=True, exist_ok=True)
-    elements, replicas, duration = (16, 4, 0.4) if options.quick else (24, 16, 2.5)
+    elements, replicas, duration = (24, 4, 0.1) if options.quick else (24, 16, 2.5)
     chains, sweeps = (8, 200) if options.quick else (32, 2000)
     rings = []
     for turns in (0.0,) if options.quick else (0.0, 1.0, 2.0):
