@@ -11,8 +11,8 @@ BATH = rx.Bath(KT)
 # salt of 10 mM: k_B T l_B (charges per length)^2 [pN], Debye length [nm]; with those of 100 mM the
 # hat curve's strands passed through each other
 CHARGES = rx.DebyeHueckel(strength=KT * 0.7 * 2.4**2, screening=3.0, floor=0.5)
-# what is nearer along the molecule does not repel [nm]. With 25 nm, at 2 pN, the first loop, formed
-# under 35 pN nm of torque, was drawn tight and passed through itself
+# what is nearer along the molecule does not repel [nm]. With 25 nm, at 2 pN, strands passed
+# where the first loop formed, under 36 pN nm of torque; with 15 nm they do not
 EXCLUSION = 15.0
 
 

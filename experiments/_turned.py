@@ -69,9 +69,9 @@ def turned(force: float, elements: int, most: float, duration: float, blocks: in
     }  # fmt: skip
     print(
         f"{force:5.2f} pN: torque at most {found['largest_torque']:.1f} pN nm, at"
-        f" {found['jump_at_turns']:.2f} turns, with a fall of {found['jump']:.1f} nm; from half a"
-        f" turn later {found['plateau']:.1f} +- {found['plateau_error']:.1f} (cold coexistence near"
-        f" {found['cold_coexistence_torque']:.1f}, instability"
+        f" {found['jump_at_turns']:.2f} turns, with a fall of {found['jump']:.1f} nm; from a fifth"
+        f" of a turn later {found['plateau']:.1f} +- {found['plateau_error']:.1f} (cold coexistence"
+        f" near {found['cold_coexistence_torque']:.1f}, instability"
         f" {found['cold_instability_torque']:.1f}); {found['nm_a_turn']:.0f} nm a turn; Tw + Wr off"
         f" by {off:.1e}; {found['result']}, {found['seconds']:.0f} s",
         flush=True,
@@ -130,17 +130,18 @@ def _told(rows: list[dict], force: float, length: float) -> dict:
     end = int(spent[0]) + 1 if len(spent) else len(rows)
     jump = int(np.argmax(smooth(torque[:end]))) + 1
     fall = smooth(extension)[jump - 1] - smooth(extension)[min(jump + 2, len(rows) - 3)]
-    # the fall itself is over half a turn later
-    after = (turns > turns[jump] + 0.5) & (np.arange(len(rows)) < end)
-    many = np.sum(after) >= 12
-    means = np.array([np.mean(part) for part in np.array_split(torque[after], 6)] if many else [])
+    # the torque has fallen a fifth of a turn later
+    after = (turns > turns[jump] + 0.2) & (np.arange(len(rows)) < end)
+    parts = int(np.sum(after)) // 3
+    many = parts >= 2
+    means = [np.mean(part) for part in np.array_split(torque[after], parts)] if many else []
     slope = np.polyfit(turns[after], extension[after], 1)[0] if many else np.nan
     return {
         "jump_at_turns": float(turns[jump]),
         "jump": float(fall),
         "largest_torque": float(smooth(torque[:end])[jump - 1]),
         "plateau": float(np.mean(means)) if many else np.nan,
-        "plateau_error": float(np.std(means, ddof=1) / np.sqrt(6)) if many else np.nan,
+        "plateau_error": float(np.std(means, ddof=1) / np.sqrt(parts)) if many else np.nan,
         "used_up_at_turns": float(turns[end - 1]) if len(spent) else None,
         "nm_a_turn": -float(slope),
         "cold_coexistence_torque": float(np.sqrt(2 * A * force)),

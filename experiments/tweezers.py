@@ -9,7 +9,7 @@ transfer operator), at two element lengths and, of the longer ones, two steps; a
 no length, of the wormlike chain. Then it is held between two handles, pulled and turned; extension,
 torque (C <kappa_3>) and the plectoneme are followed, and twist and writhe are compared with the
 turns after every block. Writes DIR/tweezers.png and DIR/summary.json, which keep the other part
-with `--only`. About 20 minutes of one core.
+with `--only`. About 25 minutes of one core.
 """
 
 import argparse
