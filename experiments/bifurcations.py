@@ -100,30 +100,48 @@ def thresholds(grids, out: dict) -> None:
             + ",".join(f" {value:.2e} ({name})" for name, value in found.items()),
             flush=True,
         )
+    n = np.array(sorted(map(int, out))[-2:], float)
+    coarse, fine = (out[str(int(one))] for one in n)
+    # in second order
+    ratio = (n[1] / n[0]) ** 2
+    found = {name: (ratio * fine[name] - coarse[name]) / (ratio - 1) for name in fine}
+    print(
+        "drawn on to no element length, off theory by"
+        + ",".join(f" {value:.1e} ({name})" for name, value in found.items()),
+        flush=True,
+    )
+    out["extrapolated"] = found
 
 
 def elastica(elements: int) -> dict:
     """The buckled column against the clamped elastica, P = 16 K(m)^2 A/L^2 (Love 1927).
 
-    Below 54.6 A/L^2, where it turns out of its plane.
+    Past the branch point at which it loses stability to shapes out of its plane, and on.
     """
     rod = rod_of(elements)
     scene_of = pressed(rod)
     state = rx.placing(rx.Scene(rod, rx.Clamped()))
     straight = rx.path(scene_of, state, 30.0, 45.0, longest_step=0.5)
     point = first_branch(straight)
-    buckled = rx.branch(scene_of, point, (30.0, 54.0), measures={"shortening": shortening})
+    buckled = rx.branch(scene_of, point, (30.0, 80.0), measures={"shortening": shortening})
     load, short = buckled.parameters, np.asarray(buckled.measures["shortening"])
     m = np.array([_modulus(value) for value in load])
     # of the continuous rod at the same shortening: the load that bends it so far
     exact = 2 - 2 * ellipe(m) / ellipk(m)
     error = np.max(np.abs(short - exact))
+    leaves = [float(one.parameter) for one in buckled.critical]
     print(
         f"elastica: {len(buckled)} points to {load[-1]:.1f} A/L^2, shortened by {short[-1]:.4f} L;"
-        f" off the closed form by {error:.1e} L at most",
+        f" off the closed form by {error:.1e} L at most;"
+        + "".join(f" out of its plane from {value:.4f} A/L^2" for value in leaves),
         flush=True,
     )
-    return {"load": load.tolist(), "shortening": short.tolist(), "largest_error": float(error)}
+    return {
+        "load": load.tolist(),
+        "shortening": short.tolist(),
+        "largest_error": float(error),
+        "out_of_plane_from": leaves,
+    }
 
 
 def _modulus(load: float) -> float:
@@ -226,7 +244,7 @@ def figure(path: Path, found: dict) -> None:
 
 
 def _draw_thresholds(axis, found: dict) -> None:
-    n = np.array([int(key) for key in found["thresholds"]])
+    n = np.array([int(key) for key in found["thresholds"] if key.isdigit()])
     for name in ("column", "twist", "neck"):
         axis.loglog(n, [abs(found["thresholds"][str(i)][name]) for i in n], "o-", label=name)
     axis.loglog(n, 1.0 / n**2.0, "k:", label="second order")

@@ -226,6 +226,21 @@ def test_a_pair_of_modes_that_is_split_has_the_load_of_one(twisted, split):
 
 
 @pytest.mark.slow
+def test_functions_that_make_schedules_have_critical_points(twisted):
+    """Constants of a function that is compiled within another are literals there."""
+    scene, path = twisted
+
+    def scene_of(turns):
+        turn = rx.Turn(AXIS, rx.PiecewiseLinear([-20.0, 20.0], [-40 * np.pi, 40 * np.pi]))
+        return rx.Scene(scene.rod, rx.Clamped(), rx.Slider(AXIS, rotation=turn)), turns
+
+    point = path.critical[0]
+    found = jax.jit(lambda point: rx.critical(scene_of, point, throw=False))(point)
+    assert int(found.result) == 0
+    assert float(found.parameter) == pytest.approx(float(point.parameter), rel=1e-9)
+
+
+@pytest.mark.slow
 def test_an_imperfection_makes_a_fold_whose_load_has_derivatives(twisted):
     scene, path = twisted
     lean = jnp.asarray(0.05)

@@ -4,6 +4,7 @@ import dataclasses
 from typing import Any, NamedTuple
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int
@@ -116,7 +117,15 @@ def critical(
 def explicit(family: Family, parameter: Parameter) -> Family:
     """The family whose scenes have as leaves the arrays that their function closes over."""
     scene_of: Any = eqx.filter_closure_convert(family.scene_of, parameter)
+    scene_of = jax.tree_util.Partial(_of_arrays, scene_of)
     return eqx.tree_at(lambda one: one.scene_of, family, scene_of)
+
+
+def _of_arrays(scene_of, parameter: Parameter):
+    """What a converted function gives, in which constants may be literals of a program."""
+    literal = lambda leaf: hasattr(leaf, "__array__") and not isinstance(leaf, jax.Array)
+    convert = lambda leaf: jnp.asarray(leaf) if literal(leaf) else leaf
+    return jax.tree.map(convert, scene_of(parameter))
 
 
 @compiled
