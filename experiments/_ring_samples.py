@@ -49,10 +49,10 @@ def _chain(scene, kt, frames, sweeps, key):
         half = rx.rotations.multiply(frames, rx.rotations.exponential(0.5 * phi))
         tangents = spacing * rx.rotations.tangent_director(half)
         gap = jnp.sum(tangents, 0)
-        energy = 0.5 * jnp.sum(stiffness * phi**2) / spacing / kt
+        energy = 0.5 * jnp.sum(stiffness[None] * phi**2) / spacing / kt
         energy = energy + 0.5 * jnp.sum(gap**2) / (n * scale**2)
         edges = tangents + scale * loose
-        edges = edges - jnp.mean(edges, 0)
+        edges = edges - jnp.mean(edges, 0, keepdims=True)
         position = jnp.concatenate([jnp.zeros((1, 3)), jnp.cumsum(edges, 0)])
         return energy + _repelled(scene, position) / kt, position
 
@@ -93,7 +93,9 @@ def _repelled(scene: rx.Scene, position):
     at = np.arange(2 * n) / 2 + 0.25
     apart = np.abs(at[:, None] - at)
     first, second = np.nonzero(np.triu(np.minimum(apart, n - apart) * spacing > EXCLUSION))
-    points = position[:-1, None] + jnp.diff(position, axis=0)[:, None] * jnp.array([[0.25], [0.75]])
+    points = position[:-1, None] + jnp.diff(position, axis=0)[:, None] * jnp.array(
+        [[[0.25], [0.75]]]
+    )
     points = points.reshape(2 * n, 3)
     distance = jnp.sqrt(jnp.sum((points[first] - points[second]) ** 2, 1))
     pair = PairProperties(rod.diameter[0], None)
