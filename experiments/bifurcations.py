@@ -217,11 +217,16 @@ def profile(elements: int, rounds: int) -> dict:
         return jnp.abs(rx.energy.reactions(scene, found.state).torque[1, 2]), found
 
     step = jax.jit(jax.value_and_grad(moment, has_aux=True))
-    history = []
+    history, best, reach = [], None, 0.02
     for _ in range(rounds):
-        (value, point), slope = step(at, point)
-        history.append(float(value))
-        at = at + 0.02 * slope / jnp.linalg.norm(slope)
+        (value, found), slope = step(at, point)
+        if best is None or value > best[0]:
+            best, point = (value, at, slope), found
+        else:
+            reach *= 0.5
+        history.append(float(best[0]))
+        at = best[1] + reach * best[2] / jnp.linalg.norm(best[2])
+    at = best[1]
     print(f"profile: critical torque {history[0]:.4f} to {history[-1]:.4f} A/L", flush=True)
     return {"torque": history, "amplitudes": at.tolist()}
 
@@ -231,7 +236,7 @@ def figure(path: Path, found: dict) -> None:
     drawn = [draw for name, draw in PANELS.items() if name in found]
     if not drawn:
         return
-    columns = min(3, len(drawn))
+    columns = min(2, len(drawn))
     rows = -(-len(drawn) // columns)
     size = 4.7 * columns, 4.0 * rows
     fig, axes = plt.subplots(rows, columns, figsize=size, layout="constrained", squeeze=False)
@@ -239,7 +244,7 @@ def figure(path: Path, found: dict) -> None:
         draw(axis, found)
     for axis in axes.ravel()[len(drawn) :]:
         axis.remove()
-    fig.savefig(path, dpi=140)
+    fig.savefig(path, dpi=100)
     plt.close(fig)
 
 
@@ -248,6 +253,8 @@ def _draw_thresholds(axis, found: dict) -> None:
     for name in ("column", "twist", "neck"):
         axis.loglog(n, [abs(found["thresholds"][str(i)][name]) for i in n], "o-", label=name)
     axis.loglog(n, 1.0 / n**2.0, "k:", label="second order")
+    axis.set_xticks(n, [str(one) for one in n], minor=False)
+    axis.set_xticks([], minor=True)
     axis.set(xlabel="elements", ylabel="critical load off theory, relative")
     axis.legend(fontsize=8)
 
@@ -273,7 +280,7 @@ def _draw_localised(axis, found: dict) -> None:
 
 def _draw_profile(axis, found: dict) -> None:
     axis.plot(found["profile"]["torque"], "o-")
-    axis.set(xlabel="round", ylabel="critical torque [A/L]", title="profile of fixed mass")
+    axis.set(xlabel="round", ylabel="best critical torque [A/L]", title="profile of fixed mass")
 
 
 PANELS = {
