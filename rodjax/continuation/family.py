@@ -106,9 +106,9 @@ class Family(eqx.Module):
             resistance,
         )
         equations = Equations.of(scene, rest, self.origin, time)
-        if pairs is None:
-            return equations
         scene = equations.scene
+        if pairs is None or scene.contact is None:
+            return equations
         # where they touch may depend on the parameter, which of them are near does not
         contact = FoundContact(sites_of(scene.contact, scene.rod, scene.closed), pairs)
         return dataclasses.replace(equations, found=Found((), contact))
