@@ -38,6 +38,9 @@ from rodjax.scenes.holds import rows_at
 # Increments that are made at most, and how many may fail to shrink.
 _MOST, _PATIENCE = 14, 3
 
+# Of a path's length, what of it moves the rod for a motion along it to be its own.
+_MOVES = 1e-3
+
 # What an end may turn in a step [rad].
 _TURN = 0.5 * jnp.pi
 
@@ -214,7 +217,10 @@ def _free(derivative: Derivative, aim: Aim, x) -> Free:
     weight = moving_weight(scene)
     along = equations.change(aim.predicted.x)
     square = jnp.sum(weight * along**2)
-    share = jnp.einsum("kni,ni,ni->k", aim.free, weight, along) / jnp.maximum(square, 1e-30)
+    # of a path that hardly moves the rod (a ring whose natural twist grows) that is rounding
+    moves = square > _MOVES**2 * jnp.sum(scene.rod.length)
+    share = jnp.einsum("kni,ni,ni->k", aim.free, weight, along)
+    share = jnp.where(moves, share / jnp.where(moves, square, 1.0), 0.0)
     free = aim.free - share[:, None, None] * along[None]
     sizes = jnp.einsum("kni,ni,kni->k", free, weight, free)
     free = jnp.where((sizes > 0.5)[:, None, None], free, 0.0)

@@ -93,10 +93,13 @@ def path(
     number = lambda value: jnp.asarray(value, state.position.dtype)
     first = first_motions(len(state.position), settings.modes + 1, state.position.dtype)
     walker = Walker(family, number(begun.unit), dict(measures or {}), jnp.zeros_like(first))
-    place, parameter = Place.of(state), number(begun.start)
+    parameter = number(begun.start)
+    place = family.first(parameter)
     still = jnp.zeros_like(family.guess(parameter, place))
     row = Tangent(still, number(np.sign(begun.stop - begun.start)))
-    step = walker.begin(parameter, place, row)
+    # where what costs nothing (a ring everts) is known, the first increments do not go along it
+    given = walker.point(parameter, place, row, first)
+    step = walker.begin(given)
     if int(step.result) != Result.SUCCESS or float(step.corrected) > _NEAR:
         raise ValueError(
             "state: is no equilibrium of scene_of(start); find that first by"
@@ -107,7 +110,7 @@ def path(
             "scene_of: nothing in the scene changes with the parameter at its start; use p in what"
             " holds, loads or makes the rod (as an array, float(p) is a constant)"
         )
-    point = walker.looked(step, first)
+    point = walker.looked(step, given.look.near.modes)
     found = Walk(walker, settings, (begun.start, begun.stop)).onward(point)
     if throw:
         results.raise_if_failed(found.result, _where(found), found)

@@ -71,6 +71,14 @@ class Family(eqx.Module):
             return scene, jnp.asarray(time, self.origin.time.dtype)
         return found, self.origin.time
 
+    def first(self, parameter: Parameter) -> Place:
+        """Where the origin is, as all other places are given: what is the same is compiled once."""
+        place, scene = Place.of(self.origin), self.at(parameter)[0]
+        if place.joints is None and scene.joints:
+            zero = jnp.zeros((len(scene.joints), 6), place.position.dtype)
+            place = place._replace(joints=zero)
+        return place
+
     def equations(
         self, parameter: Parameter, place: Place, pairs: NearPairs | None = None
     ) -> Equations[AtRest]:

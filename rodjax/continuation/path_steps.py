@@ -48,9 +48,10 @@ class Walker(NamedTuple):
         """The row of steps to a value of the parameter."""
         return Tangent(jnp.zeros_like(like.x), self.number(sign))
 
-    def begin(self, parameter, place: Place, row: Tangent) -> ArcStep:
-        """The equilibrium at this value of the parameter, the row along that."""
-        return self._step(parameter, place, 0.0, row, row, self.still)
+    def begin(self, point: Point) -> ArcStep:
+        """The equilibrium at a point's value of the parameter, its tangent along that."""
+        row = point.tangent
+        return self._step(point.parameter, point.place, 0.0, row, row, self.free(point))
 
     def _step(self, parameter, place, length: float, row, predicted, free) -> ArcStep:
         aim = Aim(self.number(length), self.unit, row, predicted, free)
