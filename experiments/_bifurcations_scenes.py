@@ -14,6 +14,7 @@ COLUMN = 4 * np.pi**2  # P L^2/A of clamped ends
 TWIST = 8.986819  # M L/A of clamped ends without tension, tan x = x with x = M L/2A
 RATIO = 0.8  # torsional over bending stiffness
 AXIS = (0.0, 0.0, 1.0)
+DIAMETER = 0.02  # where contact counts
 
 
 def rod_of(elements: int, necked: bool = False, length: float = 1.0) -> rx.Rod:
@@ -22,7 +23,7 @@ def rod_of(elements: int, necked: bool = False, length: float = 1.0) -> rx.Rod:
     def section(s):
         inside = necked & (s > NECK[0] * length) & (s < NECK[1] * length)
         fourth = np.where(inside, 0.9, 1.0) ** 4
-        return rx.Section((fourth, fourth, RATIO * fourth), mass=1.0)
+        return rx.Section((fourth, fourth, RATIO * fourth), diameter=DIAMETER, mass=1.0)
 
     return rx.straight_rod(length, elements, section)
 
@@ -72,6 +73,8 @@ def finer(point: rx.CriticalPoint, state: rx.State) -> rx.CriticalPoint:
         drawn = [[np.interp(here, there, lane) for lane in one.T] for one in both]
         return jnp.asarray(drawn).reshape(len(both), 6, count).swapaxes(1, 2)
 
+    # joints pull as they did
+    state = dataclasses.replace(state, joints=point.state.joints)
     return dataclasses.replace(
         point, state=state, origin=state, modes=on_grid(point.modes), free=on_grid(point.free)
     )

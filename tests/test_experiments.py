@@ -339,6 +339,9 @@ def test_bifurcations_in_short_mode(tmp_path):
     off = found["thresholds"]["24"]
     assert off["column"] == pytest.approx(6.7 / 24**2, rel=0.05)
     assert off["twist"] == pytest.approx(0.77 / 24**2, rel=0.05)
+    # the exact curve of torque and thrust, in second order
+    coarse, fine, drawn_on = found["compressed"]["off"]
+    assert coarse / fine == pytest.approx((24 / 16) ** 2, rel=0.03) and drawn_on < 5e-4
     assert (tmp_path / "bifurcations.png").exists()
 
 
