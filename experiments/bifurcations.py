@@ -8,6 +8,7 @@ Parts, each in its own file `_bifurcations_*.py`:
     localised   a long rod under tension and torque against Coyne's localised buckle
     profile     diameters that raise the critical turns at fixed mass, by gradients of `rx.critical`
     compressed  torque and thrust together at which a clamped rod buckles
+    writhing    a rod turned and brought nearer: jumps, against shooting, and into contact
     ring        a closed ring past Michell's threshold, to the figure 8 and into contact
 
 Writes DIR/bifurcations.png and DIR/summary.json.
@@ -23,6 +24,7 @@ import _bifurcations_localised as localised
 import _bifurcations_profile as profile
 import _bifurcations_ring as ring
 import _bifurcations_thresholds as thresholds
+import _bifurcations_writhing as writhing
 import _settings  # noqa: F401 (first)
 import matplotlib.pyplot as plt
 
@@ -32,6 +34,7 @@ PARTS = {
     "localised": localised,
     "profile": profile,
     "compressed": compressed,
+    "writhing": writhing,
     "ring": ring,
 }
 SHORT = ("thresholds", "localised", "compressed")
