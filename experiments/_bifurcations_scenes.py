@@ -50,7 +50,8 @@ MEASURES = {"torque": torque, "shortening": shortening}
 
 def pressed(rod: rx.Rod, turns=0.0):
     """Scenes along the thrust of a clamped rod whose other end is turned so often."""
-    return jax.tree_util.Partial(_pressed, rod, jnp.asarray(turns))
+    # of one type whatever is given, so that all turns share their programs
+    return jax.tree_util.Partial(_pressed, rod, jnp.asarray(turns, float))
 
 
 def _pressed(rod, turns, thrust):
