@@ -25,6 +25,7 @@ from rodjax.continuation.family import (
     Rows,
     held,
     motion_weight,
+    of_motion,
 )
 from rodjax.continuation.near_modes import Motions
 from rodjax.equilibria.motion_norms import moving_weight
@@ -171,6 +172,13 @@ def along(family: Family, parameter: Parameter, place: Place, x: Rows) -> Float[
     equations = family.equations(parameter, place)
     motion = equations.change(x)
     return motion / jnp.sqrt(jnp.sum(moving_weight(equations.scene) * motion**2))
+
+
+@compiled
+def unknowns(family: Family, parameter: Parameter, place: Place, motion) -> Rows:
+    """The unknowns that move so, forces as they are."""
+    x = family.guess(parameter, place)
+    return of_motion(motion / family.equations(parameter, place).scales.motion[None], x)
 
 
 @compiled

@@ -5,19 +5,16 @@ from typing import NamedTuple
 import jax.numpy as jnp
 import numpy as np
 
-from rodjax.continuation.arc_step import ArcStep, ahead, along
+from rodjax.continuation.arc_step import along
 from rodjax.continuation.critical import critical
+from rodjax.continuation.crossings import interpolated, met_across
 from rodjax.continuation.diagram import CriticalPoint, Kind
-from rodjax.continuation.family import Place
-from rodjax.continuation.path_steps import Point, Walker, fits
+from rodjax.continuation.path_steps import Point, Walker
 from rodjax.numerics.results import Result
 
 # How often an interval with a critical point is halved until Newton's method finds that from it.
-_HALVINGS = 24
-
-
-# How steep a path may be at right angles to which another crosses it, and the steps to get there.
-_ACROSS, _SECANTS = 0.02, 5
+# A crossing is looked for by steps of its own.
+_HALVINGS, _OF_CROSSINGS = 24, 3
 
 
 class Event(NamedTuple):
@@ -58,7 +55,7 @@ def locate(
         length: of the step between them.
     """
     low, high = (0.0, before), (length, after)
-    for _ in range(_HALVINGS):
+    for _ in range(_OF_CROSSINGS if event == _SIDEWAYS else _HALVINGS):
         guess = _guess(walker, before, low, high, event)
         if guess is not None:
             found = critical(walker.family.scene_of, guess, throw=False)
@@ -105,53 +102,22 @@ def _guess(walker: Walker, before: Point, low, high, event: Event) -> CriticalPo
             return None
     ends = (a, of_first), (b, of_second)
     if event == _SIDEWAYS:
-        step, place = _across(walker, before, *ends)
-    else:
-        step = walker.from_point(before, _interpolated(*ends))
-        place = step.place if int(step.result) == Result.SUCCESS else None
-    if place is None:
+        seen = met_across(walker, before, *ends)
+        return None if seen is None else _given(walker, event.kind, *seen)
+    step = walker.from_point(before, interpolated(*ends))
+    if int(step.result) != Result.SUCCESS:
         return None
     if modes is None:
         modes = along(walker.family, step.parameter, step.place, step.tangent.x)[None]
-    state = walker.family.state(step.parameter, place)
+    return _given(walker, event.kind, step.parameter, step.place, modes, walker.free(first))
+
+
+def _given(walker: Walker, kind: Kind, parameter, place, modes, free) -> CriticalPoint:
+    state = walker.family.state(parameter, place)
     none = jnp.zeros((), jnp.int32)
-    origin = walker.family.origin
-    free = walker.free(low[1])
-    return CriticalPoint(event.kind, step.parameter, state, modes, free, walker.unit, origin, none)
-
-
-def _interpolated(first: tuple[float, float], second: tuple[float, float]) -> float:
-    """Where the line through two points (s, value) is zero, well between them."""
-    (a, of_first), (b, of_second) = first, second
-    part = of_first / (of_first - of_second) if of_first != of_second else 0.5
-    return a + float(np.clip(part, 0.02, 0.98)) * (b - a)
-
-
-def _across(walker: Walker, before: Point, first, second) -> tuple[ArcStep, Place | None]:
-    """A step to near where the parameter turns between two lengths, and the place of the crossing.
-
-    At the crossing itself the matrix of steps is singular. The critical load is off by the square
-    of how far the place is.
-    """
-    known = [first, second]
-    for _ in range(_SECANTS):
-        length = _interpolated(first, second)
-        step = walker.from_point(before, length)
-        if not fits(step, length, gently=False):
-            return step, None
-        slope = float(step.tangent.parameter)
-        known.append((length, slope))
-        if slope * first[1] > 0:
-            first = length, slope
-        else:
-            second = length, slope
-        if abs(slope) <= _ACROSS:
-            break
-    # length as a parabola of slope
-    nearest = np.array(sorted(known, key=lambda one: abs(one[1]))[:3])
-    crossing = np.polyfit(nearest[:, 1], nearest[:, 0], 2)[-1]
-    left = walker.number(crossing - length)
-    return step, ahead(walker.family, step.parameter, step.place, left * step.tangent.x)
+    return CriticalPoint(
+        kind, parameter, state, modes, free, walker.unit, walker.family.origin, none
+    )
 
 
 def _crossing(first: Point, second: Point, count: int):
