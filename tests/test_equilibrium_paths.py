@@ -165,6 +165,49 @@ def test_a_branch_that_comes_back_to_its_path_has_a_branch_point_there():
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("longest_step", (0.2, 0.5))
+def test_a_branch_of_shapes_that_can_be_turned_comes_back_at_its_lowest(longest_step):
+    """Steps along the bowl pass beside its lowest point; two turns less are the same rod."""
+
+    def section(s):
+        fourth = np.where(abs(s - 0.5) < 0.125, 0.9, 1.0) ** 4
+        return rx.Section((fourth, fourth, RATIO * fourth), diameter=0.02, mass=1.0)
+
+    scene = turned(rx.straight_rod(1.0, 24, section))
+    straight = rx.path(scene, rx.placing(scene), 0.0, 2.2, longest_step=0.5)
+    first = straight.critical[0]
+    path = rx.branch(scene, first, (0.0, 2.5), points=80, longest_step=longest_step)
+    folds = [float(one.parameter) for one in path.critical if one.kind == "fold"]
+    assert folds[0] + folds[1] == pytest.approx(2.0, abs=1e-9)
+    found = next(one for one in path.critical if one.kind == "branch")
+    assert float(found.parameter) == pytest.approx(2.0 - float(first.parameter), abs=1e-8)
+
+
+@pytest.mark.slow
+def test_branch_points_of_a_bent_rod_do_not_depend_on_the_steps(twisted):
+    """Its axis of symmetry turns along the path, and Newton's method may come to the branch."""
+    scene, straight = twisted
+
+    def found(scene, straight, longest_step):
+        bounds = (-1.4, 2.5)
+        path = rx.branch(scene, straight.critical[0], bounds, longest_step=longest_step)
+        (point,) = path.critical
+        return point
+
+    points = [found(scene, straight, step) for step in (0.2, 0.3, 0.5)]
+    turns = [float(one.parameter) for one in points]
+    np.testing.assert_allclose(turns, turns[0], rtol=1e-9)
+    # and are found in a scene that differs, whose axis stands otherwise
+    rod = scene.rod
+    stiffer = dataclasses.replace(rod, stiffness=rod.stiffness * np.array([[1.0, 1.0, 1.05]]))
+    other = turned(stiffer)
+    walked = found(other, rx.path(other, rx.placing(other), 0.0, 2.5), 0.3)
+    again = rx.critical(other, points[0])
+    assert abs(float(walked.parameter) - turns[0]) > 0.05
+    assert float(again.parameter) == pytest.approx(float(walked.parameter), rel=1e-9)
+
+
+@pytest.mark.slow
 def test_seeded_steps_give_one_diagram(twisted):
     scene, path = twisted
     random = np.random.default_rng(7)

@@ -31,7 +31,7 @@ from rodjax.numerics.results import Result
 from rodjax.rods.state import State
 
 # Newton increments at most; what the last may change of the parameter over its unit, and of x.
-_MOST, _PARAMETER, _MOTION = 12, 1e-9, 1e-3
+_MOST, _PARAMETER, _MOTION = 24, 1e-9, 1e-3
 
 # How much of a mode may lie along what is held: the critical load is wrong by about that.
 _HELD_SHARE = 1e-8
@@ -39,12 +39,41 @@ _HELD_SHARE = 1e-8
 # By how much a disturbance that a branch point needs may bend the rod [rad].
 _SYMMETRIC = 1e-5
 
+# Where the parameter changes by less than the first in an increment, a branch point that needs a
+# disturbance above the second, and whose load changes by more than the third with the amplitude of
+# its mode (over the unit, by radian), is moved along that mode: to find out by the fourth, and by
+# the last at most [rad].
+_SETTLED, _DISTURBED, _SKEW, _PROBE, _SIDEWAYS = 1e-6, 1e-13, 1e-6, 1e-3, 0.05
+
+
+class _Symmetry(NamedTuple):
+    """The search along its mode for where a branch point is symmetric.
+
+    On either side of it disturbed states are as singular, at other loads: from a state on the
+    branch that leaves, at three times its distance. What tells them is that the load of the mode
+    changes with its amplitude.
+    """
+
+    skew: Float[Array, ""]  # where the parameter had settled last
+    moved: Float[Array, ""]  # since then [rad]
+    rate: Float[Array, ""]  # of the skew, NaN as long as it is not known
+
+    def moves(self, skew, settled, asymmetric) -> tuple[Float[Array, ""], "_Symmetry"]:
+        """How far to go now, and what is then known."""
+        rate = jnp.where(settled & (self.moved != 0), (skew - self.skew) / self.moved, self.rate)
+        wanted = jnp.clip(-skew / rate, -_SIDEWAYS, _SIDEWAYS)
+        wanted = jnp.where(jnp.isfinite(wanted), wanted, _PROBE)
+        move = jnp.where(settled & asymmetric, wanted, 0.0)
+        last = jnp.where(settled, skew, self.skew)
+        return move, _Symmetry(last, jnp.where(settled, 0.0, self.moved) + move, rate)
+
 
 class _Loop(NamedTuple):
     parameter: Parameter
     place: Place
     null: Float[Array, "nodes 6"]
     bent: Float[Array, ""]
+    symmetry: _Symmetry
     change: Float[Array, ""]
     iterations: Int[Array, ""]
     holds: Array  # whether motions are held
@@ -64,7 +93,8 @@ def critical(
     A branch point owes itself to a symmetry. What breaks that symmetry (an imperfection where the
     scene had none) turns it into a fold, and moves the critical load by the power 2/3 of its size:
     no derivative tells of it, and the code is NO_BRANCH_POINT where the scene has it already. The
-    fold of a scene with an imperfection has derivatives by it.
+    fold of a scene with an imperfection has derivatives by it. The derivative of the state of a
+    branch point leaves out motion along its mode.
 
     Args:
         scene_of: as of `path`. In a loop of your own give one function with its arrays bound,
@@ -147,15 +177,21 @@ def _critical(family: Family, point: CriticalPoint, branches: Bool[Array, ""]) -
         p, place = loop.parameter, loop.place
         extended = equations(fixed, p, place, loop.holds)
         found, here = extended.increment(p), fixed.equations(p, place)
-        size = here.size(found.x)
+        # how far a motion of c.x = 1 goes [rad]
+        radian = jnp.sqrt(jnp.sum(motion_weight(here, found.null) * found.null**2))
+        size, change = here.size(found.newton.x), jnp.abs(found.newton.parameter)
+        bent = _bent(here, start.modes[0], extended.column, found.newton.beta)
+        skew = found.skew / radian
+        asymmetric = branches & (bent > _DISTURBED) & (jnp.abs(skew) > _SKEW)
+        settled = (change <= _SETTLED) & (size <= _MOTION)
+        move, symmetry = loop.symmetry.moves(skew, settled, asymmetric)
+        step = jax.tree.map(lambda n, s: n + move / radian * s, found.newton, found.sideways)
         # not further than the chart and the linearisation hold
-        scale = jnp.minimum(1.0, 0.3 / jnp.maximum(size, 1e-12))
-        x = fixed.guess(p, place) + scale * found.x
-        p = p + scale * unit * found.parameter
-        change = jnp.abs(found.parameter)
-        done = (change <= _PARAMETER) & (size <= _MOTION)
+        scale = jnp.minimum(1.0, 0.3 / jnp.maximum(here.size(step.x), 1e-12))
+        x = fixed.guess(p, place) + scale * step.x
+        p = p + scale * unit * step.parameter
+        done = (change <= _PARAMETER) & (size <= _MOTION) & ~asymmetric
         place = fixed.place(p, place, x)
-        bent = _bent(here, start.modes[0], extended.column, found.beta)
         null = here.change(found.null)
         # what costs nothing beside the mode may cost something in this scene (a pair that is
         # split): held, it would move the point
@@ -163,15 +199,16 @@ def _critical(family: Family, point: CriticalPoint, branches: Bool[Array, ""]) -
         share = jnp.max(jnp.abs(jnp.einsum("kni,ni,ni->k", start.free, weight, null)))
         share = share / jnp.sqrt(jnp.sum(weight * null**2))
         unlike = done & loop.holds & (share > _HELD_SHARE)
-        count = jnp.where(unlike, 0, loop.iterations + 1)
-        return _Loop(p, place, null, bent, change, count, loop.holds & ~unlike, done & ~unlike)
+        count, holds = jnp.where(unlike, 0, loop.iterations + 1), loop.holds & ~unlike
+        return _Loop(p, place, null, bent, symmetry, change, count, holds, done & ~unlike)
 
     def going(loop: _Loop):
         return ~loop.done & jnp.isfinite(loop.change) & (loop.iterations < _MOST)
 
     zero, none = jnp.zeros_like(unit), jnp.zeros((), jnp.int32)
     place, no = Place.of(start.state), jnp.asarray(False)
-    begun = _Loop(start.parameter, place, start.modes[0], zero, zero, none, ~no, no)
+    symmetry = _Symmetry(zero, zero, jnp.full_like(unit, jnp.nan))
+    begun = _Loop(start.parameter, place, start.modes[0], zero, symmetry, zero, none, ~no, no)
     end = lax.while_loop(going, advance, begun)
     result = jnp.where(end.done, Result.SUCCESS, Result.NEWTON_FAILED)
     result = jnp.where(jnp.isfinite(end.change), result, Result.NON_FINITE)

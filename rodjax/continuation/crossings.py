@@ -22,7 +22,7 @@ from rodjax.numerics.results import Result
 _LEVEL, _SECANTS = 0.02, 5
 
 # How far the crossing may be from there [rad], and the steps to get there.
-_NEAR, _STEPS = 1e-3, 4
+_NEAR, _STEPS = 5e-3, 4
 
 
 class Crossing(NamedTuple):
@@ -47,20 +47,19 @@ def met_across(
     if found is None:
         return None
     step, rate = found
+    point, free = _aimed(walker, before, walker.looked(step, before.look.near.modes))
     for _ in range(_STEPS):
-        point = _aimed(walker, walker.looked(step, before.look.near.modes))
-        if point is None:
-            return None
         left = -float(point.tangent.parameter) / rate
         if abs(left) <= _NEAR:
             change = walker.number(left) * point.tangent.x
             place = ahead(walker.family, point.parameter, point.place, change)
             modes = along(walker.family, point.parameter, point.place, point.tangent.x)[None]
-            return Crossing(point.parameter, place, modes, walker.free(point))
+            return Crossing(point.parameter, place, modes, free)
         # at the crossing itself the matrix of steps is singular
         step = walker.from_point(point, 0.9 * left)
         if not fits(step, left, gently=False):
             return None
+        point = walker.looked(step, point.look.near.modes)
     return None
 
 
@@ -89,15 +88,22 @@ def interpolated(first: tuple[float, float], second: tuple[float, float]) -> flo
     return a + float(np.clip(part, 0.02, 0.98)) * (b - a)
 
 
-def _aimed(walker: Walker, point: Point) -> Point | None:
-    """The point with the path through it that goes along its softest mode that costs something."""
+def _aimed(walker: Walker, before: Point, point: Point) -> tuple[Point, Motions]:
+    """The point with the path through it that goes along its softest mode that costs something.
+
+    And what costs nothing.
+    """
     near, family = point.look.near, walker.family
-    costs = np.flatnonzero(np.abs(np.asarray(near.values)) > float(point.look.level))
-    if not len(costs):
-        return None
-    x = unknowns(family, point.parameter, point.place, near.modes[costs[0]])
-    row = Tangent(x, walker.number(0.0))
-    step = walker.begin(point.parameter, point.place, row, walker.free(point))
+    if neutral_modes(point) != neutral_modes(before):
+        return point, walker.free(before)  # so near that this mode costs nothing either
+    x = unknowns(family, point.parameter, point.place, near.modes[neutral_modes(point)])
+    free = walker.free(point)
+    step = walker.begin(point.parameter, point.place, Tangent(x, walker.number(0.0)), free)
     if int(step.result) != Result.SUCCESS:
-        return None
-    return point._replace(place=step.place, parameter=step.parameter, tangent=step.tangent)
+        return point, free
+    return point._replace(place=step.place, tangent=step.tangent), free
+
+
+def neutral_modes(point: Point) -> int:
+    """How many modes cost nothing at a point: the first, by the size of their eigenvalues."""
+    return int(np.sum(np.abs(np.asarray(point.look.near.values)) <= float(point.look.level)))

@@ -7,7 +7,7 @@ import numpy as np
 
 from rodjax.continuation.arc_step import along
 from rodjax.continuation.critical import critical
-from rodjax.continuation.crossings import interpolated, met_across
+from rodjax.continuation.crossings import interpolated, met_across, neutral_modes
 from rodjax.continuation.diagram import CriticalPoint, Kind
 from rodjax.continuation.path_steps import Point, Walker
 from rodjax.numerics.results import Result
@@ -40,7 +40,7 @@ def events(before: Point, after: Point) -> list[Event]:
         return [Event("branch", change)] if change else []
     if not change:
         # a fold so near to a point that its mode counts as free there is one all the same
-        return [_SIDEWAYS if _free(before) == _free(after) else Event("fold", 0)]
+        return [_SIDEWAYS if neutral_modes(before) == neutral_modes(after) else Event("fold", 0)]
     found = [Event("fold", int(np.sign(change)))]
     rest = change - found[0].change
     return [*found, Event("branch", rest)] if rest else found
@@ -73,11 +73,6 @@ def locate(
     return None
 
 
-def _free(point: Point) -> int:
-    """How many modes cost nothing at a point."""
-    return int(np.sum(np.abs(np.asarray(point.look.near.values)) <= float(point.look.level)))
-
-
 def _turns(event: Event) -> bool:
     return event.kind == "fold" or event.change == 0
 
@@ -97,7 +92,7 @@ def _guess(walker: Walker, before: Point, low, high, event: Event) -> CriticalPo
     if _turns(event):
         of_first, of_second = float(first.tangent.parameter), float(second.tangent.parameter)
     else:
-        modes, of_first, of_second = _crossing(first, second, abs(event.change))
+        modes, of_first, of_second = _crossing(first, second, event.change)
         if modes is None:
             return None
     ends = (a, of_first), (b, of_second)
@@ -120,25 +115,23 @@ def _given(walker: Walker, kind: Kind, parameter, place, modes, free) -> Critica
     )
 
 
-def _crossing(first: Point, second: Point, count: int):
+def _crossing(first: Point, second: Point, change: int):
     """Modes whose eigenvalues pass zero, with the nearest of them before and behind."""
-    # those lowest in size on the side where they are further from motions that cost no energy
-    sides = []
-    for point in (first, second):
-        values = np.asarray(point.look.near.values)
-        apart = np.abs(values) > 3 * float(point.look.level)
-        sides.append((values, np.flatnonzero(apart), point))
-    gained = int(second.look.unstable) >= int(first.look.unstable)
-    wanted = [sides[0][0] > 0, sides[1][0] < 0] if gained else [sides[0][0] < 0, sides[1][0] > 0]
-    found = []
-    for (values, apart, point), right in zip(sides, wanted, strict=True):
-        chosen = [i for i in apart if right[i]][:count]
-        found.append((values, chosen, point))
-    if not all(chosen for _, chosen, _ in found):
+    sides = [(first, _softest(first, change > 0, abs(change)))]
+    sides.append((second, _softest(second, change < 0, abs(change))))
+    if not all(len(chosen) for _, chosen in sides):
         return None, 1.0, -1.0
-    at = [float(values[chosen[0]]) for values, chosen, _ in found]
-    _, chosen, point = max(found, key=lambda one: len(one[1]))
-    return point.look.near.modes[np.array(chosen)], *at
+    at = [float(point.look.near.values[chosen[0]]) for point, chosen in sides]
+    point, chosen = max(sides, key=lambda side: len(side[1]))
+    return point.look.near.modes[chosen], *at
+
+
+def _softest(point: Point, stable: bool, count: int) -> np.ndarray:
+    """The numbers of modes nearest to losing stability, or to gaining it."""
+    values = np.asarray(point.look.near.values)
+    # further from motions that cost no energy
+    apart = np.abs(values) > 3 * float(point.look.level)
+    return np.flatnonzero(apart & ((values > 0) == stable))[:count]
 
 
 def _between(walker: Walker, first: Point, second: Point, found: CriticalPoint) -> bool:

@@ -34,7 +34,15 @@ class Increment(NamedTuple):
     x: Rows
     parameter: Float[Array, ""]  # over its unit
     beta: Float[Array, ""]
-    null: Rows  # v before it
+
+
+class Increments(NamedTuple):
+    """Newton's, and what is known besides where it is made."""
+
+    newton: Increment
+    sideways: Increment  # what a motion c.x = 1 of a branch point adds to that
+    null: Rows  # v
+    skew: Float[Array, ""]  # g' along v, over that by the parameter's unit
 
 
 class SingularPoint(eqx.Module):
@@ -95,7 +103,7 @@ class SingularPoint(eqx.Module):
     def _equations(self, p: Parameter):
         return self.family.equations(p, self.place, self.pairs)
 
-    def increment(self, p: Parameter) -> "Increment":
+    def increment(self, p: Parameter) -> Increments:
         """Newton's increment of z at the place itself, with beta zero.
 
         Derivatives of g, along d, are those of the same bordered system: g' of
@@ -121,10 +129,13 @@ class SingularPoint(eqx.Module):
         # of the equations above holds
         second = jnp.where(self.branches, jnp.stack([zero, one]), jnp.stack([by_p, g]))
         known = jnp.stack([-g - of_g[0], jnp.where(self.branches, zero, -beta)])
-        numbers = jnp.linalg.solve(jnp.stack([of_g[1:], second]), known)
-        dx = along[0] + jnp.einsum("i,inr->nr", numbers, along[1:])
-        beta = beta + numbers[0] * by_p + numbers[1] * g
-        return Increment(dx, numbers[0], beta, null)
+        both = jnp.stack([known, jnp.stack([zero, jnp.where(self.branches, one, zero)])])
+        numbers = jnp.linalg.solve(jnp.stack([of_g[1:], second]), both.T).T
+        dx = jnp.einsum("ki,inr->knr", numbers, along[1:])
+        betas = numbers @ jnp.stack([by_p, g])
+        straight = Increment(along[0] + dx[0], numbers[0, 0], beta + betas[0])
+        sideways = Increment(dx[1], numbers[1, 0], betas[1])
+        return Increments(straight, sideways, null, of_g[2] / of_g[1])
 
     def linearize(self, z) -> "_Extended":
         """The derivative at z, whose nodes must not have turned from the place."""
