@@ -176,7 +176,7 @@ def test_a_branch_of_shapes_that_can_be_turned_comes_back_at_its_lowest(longest_
     scene = turned(rx.straight_rod(1.0, 24, section))
     straight = rx.path(scene, rx.placing(scene), 0.0, 2.2, longest_step=0.5)
     first = straight.critical[0]
-    path = rx.branch(scene, first, (0.0, 2.5), points=80, longest_step=longest_step)
+    path = rx.branch(scene, first, (0.0, 2.5), points=130, longest_step=longest_step)
     folds = [float(one.parameter) for one in path.critical if one.kind == "fold"]
     assert folds[0] + folds[1] == pytest.approx(2.0, abs=1e-9)
     found = next(one for one in path.critical if one.kind == "branch")
