@@ -98,7 +98,7 @@ def _aimed(walker: Walker, before: Point, point: Point) -> tuple[Point, Motions]
         return point, walker.free(before)  # so near that this mode costs nothing either
     x = unknowns(family, point.parameter, point.place, near.modes[neutral_modes(point)])
     free = walker.free(point)
-    step = walker.begin(point.parameter, point.place, Tangent(x, walker.number(0.0)), free)
+    step = walker.begin(point._replace(tangent=Tangent(x, walker.number(0.0))))
     if int(step.result) != Result.SUCCESS:
         return point, free
     return point._replace(place=step.place, tangent=step.tangent), free
