@@ -16,6 +16,7 @@ LONG = ["adaptive_rollout", "animate", "equilibrium", "jit", "SimulationError", 
 LONG += ["vibration", "check", "simulate"]
 LONG += ["thermal_rollout", "ThermalRun", "thermal_step", "relaxation_times", "Averages"]
 LONG += ["path", "branch", "critical", "CriticalPoint", "EquilibriumPath", "PathEnd"]
+LONG += ["critical_curve"]
 NAMES = [
     pytest.param(name, marks=pytest.mark.slow) if name in LONG else name
     for name in rx.__all__

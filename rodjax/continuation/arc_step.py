@@ -149,7 +149,9 @@ def arc_step(
     equations = family.equations(p, place)
     astray = wound(equations.scene.rod, new.quaternion)
     turned = jnp.where(astray, Result.ROTATION_TOO_LARGE, Result.SUCCESS)
-    driven = jnp.where(_driven(family, place, parameter, p), Result.DRIVE_TOO_FAST, Result.SUCCESS)
+    driven = jnp.where(
+        driven_far(family, place, parameter, p), Result.DRIVE_TOO_FAST, Result.SUCCESS
+    )
     far = jnp.sum(weight * (x - first) ** 2) + ((p - p_first) / unit) ** 2
     tangent = end.tangent
     length = jnp.sqrt(jnp.sum(weight * tangent.x**2) + tangent.parameter**2)
@@ -194,7 +196,7 @@ def cosine(family: Family, parameter: Parameter, place: Place, one: Tangent, oth
     return jnp.sum(weight * one.x * other.x) + one.parameter * other.parameter
 
 
-def _driven(family: Family, place: Place, before: Parameter, after: Parameter) -> Bool[Array, ""]:
+def driven_far(family: Family, place: Place, before: Array, after: Array) -> Bool[Array, ""]:
     """Whether an end is turned further than can be told from fewer turns."""
 
     def turns(p):

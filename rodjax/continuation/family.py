@@ -24,7 +24,7 @@ from rodjax.scenes.holds import impose, rows_at
 from rodjax.scenes.scene import Found, Scene
 
 Rows = Float[Array, "rows 9"]
-Parameter = Float[Array, ""]
+Parameter = Float[Array, "..."]  # a number, or along a curve of critical points two
 
 # What the resistance makes of an eigenvalue that is zero, in mean bending stiffness over the length
 # squared.

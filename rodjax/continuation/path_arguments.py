@@ -5,6 +5,7 @@ from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array, Float
 
 from rodjax.continuation.family import Family, function_of
 from rodjax.equations.rigid_motions import check_held
@@ -62,7 +63,7 @@ def check_settings(points, first_step, longest_step, modes, measures, targets) -
     return Settings(int(points), first, float(longest_step), int(modes), values)
 
 
-def checked_family(scene_of, state: State, start: float) -> Family:
+def checked_family(scene_of, state: State, start: float | Float[Array, "2"]) -> Family:
     """The family, of scenes that have paths of equilibria.
 
     Raises:

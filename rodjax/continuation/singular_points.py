@@ -45,6 +45,14 @@ class Increments(NamedTuple):
     skew: Float[Array, ""]  # g' along v, over that by the parameter's unit
 
 
+class Responses(NamedTuple):
+    """Of x, beta and g: to the residual, to each change of a parameter, to c.x = 1."""
+
+    x: Float[Array, "k rows 9"]
+    beta: Float[Array, " k"]  # the last is g
+    g: Float[Array, " k"]  # how it changes
+
+
 class SingularPoint(eqx.Module):
     """Equations of a fold or a branch point near a place, see `numerics.newton`.
 
@@ -97,45 +105,50 @@ class SingularPoint(eqx.Module):
         fixed = lax.stop_gradient
         derivative = self.family.derivative(p, self.place, x, self.pairs)
         derivative = newton.constant(derivative)
-        border = self.column, self.row, jnp.zeros_like(p), self.free
+        border = self.column, self.row, jnp.zeros((), x.dtype), self.free
         return Bordered(derivative, *fixed(border))
 
     def _equations(self, p: Parameter):
         return self.family.equations(p, self.place, self.pairs)
 
     def increment(self, p: Parameter) -> Increments:
-        """Newton's increment of z at the place itself, with beta zero.
+        """Newton's increment of z at the place itself, with beta zero."""
+        along, betas, of_g = self.responses(p, self.unit[None])
+        zero, one = jnp.zeros_like(p), jnp.ones_like(p)
+        # x goes on by the first, and by so much of the other two that g is zero, and the second
+        # of the equations above holds
+        second = jnp.where(self.branches, jnp.stack([zero, one]), betas[1:])
+        known = jnp.stack([-betas[2] - of_g[0], jnp.where(self.branches, zero, -betas[0])])
+        both = jnp.stack([known, jnp.stack([zero, jnp.where(self.branches, one, zero)])])
+        numbers = jnp.linalg.solve(jnp.stack([of_g[1:], second]), both.T).T
+        dx = jnp.einsum("ki,inr->knr", numbers, along[1:])
+        more = numbers @ betas[1:]
+        straight = Increment(along[0] + dx[0], numbers[0, 0], betas[0] + more[0])
+        sideways = Increment(dx[1], numbers[1, 0], more[1])
+        return Increments(straight, sideways, along[2], of_g[2] / of_g[1])
+
+    def responses(self, p: Array, changes: Array) -> "Responses":
+        """What the residual, changes of the parameter (or of several) and c.x = 1 do to x and g.
 
         Derivatives of g, along d, are those of the same bordered system: g' of
         [A b; c 0] [v' g'] = [-A' v, 0], A' the derivative of A along d.
         """
         x = self.family.guess(p, self.place)
         residual = lambda x, p: self._equations(p).residual(x)
-        bordered = self._bordered(x, p)
-        solve = jax.vmap(bordered.solve)
-        lacking, slope = self.family.residual(p, self.place, x, self.pairs)
-        zero, one = jnp.zeros_like(p), jnp.ones_like(p)
-        rights = jnp.stack([-lacking, -self.unit * slope, jnp.zeros_like(x)])
-        along, (beta, by_p, g) = solve(rights, jnp.stack([zero, zero, one]))
-        null = along[2]
+        solve = jax.vmap(self._bordered(x, p).solve)
+        lacking, pushed = jax.linearize(lambda p: residual(x, p), p)
+        slopes = jax.vmap(pushed)(changes)
+        rights = jnp.concatenate([-lacking[None], -slopes, jnp.zeros_like(x)[None]])
+        none = jnp.zeros((len(rights),), x.dtype)
+        along, betas = solve(rights, none.at[-1].set(1.0))
 
-        def pushed(x, p):
-            return jax.jvp(lambda x: residual(x, p), (x,), (null,))[1]
+        def turned(x, p):
+            return jax.jvp(lambda x: residual(x, p), (x,), (along[-1],))[1]
 
-        curved = lambda dx, dp: jax.jvp(pushed, (x, p), (dx, dp))[1]
-        curved = jax.vmap(curved)(along, jnp.stack([zero, self.unit, zero]))
-        of_g = solve(-curved, jnp.zeros_like(jnp.stack([g, g, g])))[1]
-        # x goes on by the first, and by so much of the other two that g is zero, and the second
-        # of the equations above holds
-        second = jnp.where(self.branches, jnp.stack([zero, one]), jnp.stack([by_p, g]))
-        known = jnp.stack([-g - of_g[0], jnp.where(self.branches, zero, -beta)])
-        both = jnp.stack([known, jnp.stack([zero, jnp.where(self.branches, one, zero)])])
-        numbers = jnp.linalg.solve(jnp.stack([of_g[1:], second]), both.T).T
-        dx = jnp.einsum("ki,inr->knr", numbers, along[1:])
-        betas = numbers @ jnp.stack([by_p, g])
-        straight = Increment(along[0] + dx[0], numbers[0, 0], beta + betas[0])
-        sideways = Increment(dx[1], numbers[1, 0], betas[1])
-        return Increments(straight, sideways, null, of_g[2] / of_g[1])
+        curved = lambda dx, dp: jax.jvp(turned, (x, p), (dx, dp))[1]
+        still = jnp.zeros_like(changes[:1])
+        curved = jax.vmap(curved)(along, jnp.concatenate([still, changes, still]))
+        return Responses(along, betas, solve(-curved, none)[1])
 
     def linearize(self, z) -> "_Extended":
         """The derivative at z, whose nodes must not have turned from the place."""
