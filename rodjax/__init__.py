@@ -229,6 +229,7 @@ __all__ = [
     "Clamped",
     "Constant",
     "Contact",
+    "CriticalCurve",
     "CriticalPoint",
     "Cylinder",
     "DampedInversePower",
