@@ -35,8 +35,8 @@ from rodjax.constraints.joints import Slide as Slide
 from rodjax.constraints.joints import Weld as Weld
 from rodjax.constraints.supports import Support as Support
 from rodjax.continuation.critical import critical as critical
-from rodjax.continuation.critical_curve import CriticalCurve as CriticalCurve
 from rodjax.continuation.critical_curve import critical_curve as critical_curve
+from rodjax.continuation.curve_diagram import CriticalCurve as CriticalCurve
 from rodjax.continuation.diagram import CriticalPoint as CriticalPoint
 from rodjax.continuation.diagram import EquilibriumPath as EquilibriumPath
 from rodjax.continuation.diagram import PathEnd as PathEnd

@@ -89,6 +89,41 @@ def test_turns_at_which_a_pulled_rod_buckles():
     assert float(slope) == pytest.approx(chord, rel=0.05)
 
 
+@pytest.mark.slow
+def test_branch_points_of_bent_rods_along_their_torsional_stiffness():
+    """The axis of symmetry of such a rod turns with both parameters."""
+
+    def twisted(turns, ratio):
+        own = ROUND.stiffness * jnp.stack([jnp.ones_like(ratio), jnp.ones_like(ratio), ratio])[None]
+        turn = rx.Turn(AXIS, rx.PiecewiseLinear([-9.0, 9.0], [-18 * np.pi, 18 * np.pi]))
+        rod = dataclasses.replace(ROUND, stiffness=own)
+        return rx.Scene(rod, rx.Clamped(), rx.Slider(AXIS, rotation=turn)), turns
+
+    def found(ratio):
+        scenes = at(twisted, ratio)
+        straight = rx.path(scenes, rx.placing(scenes(jnp.zeros(()))[0]), 0.0, 2.5)
+        (point,) = rx.branch(scenes, straight.critical[0], (-1.4, 2.5)).critical
+        return point
+
+    first, last = found(1.0), found(1.125)
+    curve = rx.critical_curve(twisted, first, 1.0, 1.125)
+    assert curve.others[-1] == pytest.approx(1.125, rel=1e-12)
+    assert curve.parameters[0] == pytest.approx(float(first.parameter), rel=1e-9)
+    assert curve.parameters[-1] == pytest.approx(float(last.parameter), rel=1e-8)
+
+
+@pytest.mark.slow
+def test_a_branch_point_has_no_curve_along_an_imperfection():
+    pressed = lambda thrust, side: pushed(side, thrust)
+    straight = rx.path(
+        at(pressed, 0.0), rx.placing(pressed(jnp.zeros(()), jnp.zeros(()))), 30.0, 45.0
+    )
+    with pytest.raises(rx.SimulationError) as told:
+        rx.critical_curve(pressed, straight.critical[0], 0.0, 1.0)
+    assert told.value.result is rx.Result.NO_BRANCH_POINT
+    assert len(told.value.partial) == 1 and np.all(np.isfinite(told.value.partial.parameters))
+
+
 def _lacks(torque, pull) -> float:
     """What changes sign where a straight clamped rod of unit stiffness and length buckles.
 

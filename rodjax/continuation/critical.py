@@ -15,13 +15,13 @@ from rodjax.continuation.family import (
     Parameter,
     Place,
     balanced,
-    elastic_of,
     function_of,
     held,
     motion_weight,
     of_motion,
 )
 from rodjax.continuation.singular_points import SingularPoint
+from rodjax.continuation.symmetry import SETTLED, SYMMETRIC, Symmetry, bent_by
 from rodjax.equilibria.motion_norms import moving_weight
 from rodjax.inputs.validation import all_known, check_instance
 from rodjax.numerics import newton, results
@@ -36,44 +36,13 @@ _MOST, _PARAMETER, _MOTION = 24, 1e-9, 1e-3
 # How much of a mode may lie along what is held: the critical load is wrong by about that.
 _HELD_SHARE = 1e-8
 
-# By how much a disturbance that a branch point needs may bend the rod [rad].
-_SYMMETRIC = 1e-5
-
-# Where the parameter changes by less than the first in an increment, a branch point that needs a
-# disturbance above the second, and whose load changes by more than the third with the amplitude of
-# its mode (over the unit, by radian), is moved along that mode: to find out by the fourth, and by
-# the last at most [rad].
-_SETTLED, _DISTURBED, _SKEW, _PROBE, _SIDEWAYS = 1e-6, 1e-13, 1e-6, 1e-3, 0.05
-
-
-class _Symmetry(NamedTuple):
-    """The search along its mode for where a branch point is symmetric.
-
-    On either side of it disturbed states are as singular, at other loads: from a state on the
-    branch that leaves, at three times its distance. What tells them is that the load of the mode
-    changes with its amplitude.
-    """
-
-    skew: Float[Array, ""]  # where the parameter had settled last
-    moved: Float[Array, ""]  # since then [rad]
-    rate: Float[Array, ""]  # of the skew, NaN as long as it is not known
-
-    def moves(self, skew, settled, asymmetric) -> tuple[Float[Array, ""], "_Symmetry"]:
-        """How far to go now, and what is then known."""
-        rate = jnp.where(settled & (self.moved != 0), (skew - self.skew) / self.moved, self.rate)
-        wanted = jnp.clip(-skew / rate, -_SIDEWAYS, _SIDEWAYS)
-        wanted = jnp.where(jnp.isfinite(wanted), wanted, _PROBE)
-        move = jnp.where(settled & asymmetric, wanted, 0.0)
-        last = jnp.where(settled, skew, self.skew)
-        return move, _Symmetry(last, jnp.where(settled, 0.0, self.moved) + move, rate)
-
 
 class _Loop(NamedTuple):
     parameter: Parameter
     place: Place
     null: Float[Array, "nodes 6"]
     bent: Float[Array, ""]
-    symmetry: _Symmetry
+    symmetry: Symmetry
     change: Float[Array, ""]
     iterations: Int[Array, ""]
     holds: Array  # whether motions are held
@@ -180,11 +149,11 @@ def _critical(family: Family, point: CriticalPoint, branches: Bool[Array, ""]) -
         # how far a motion of c.x = 1 goes [rad]
         radian = jnp.sqrt(jnp.sum(motion_weight(here, found.null) * found.null**2))
         size, change = here.size(found.newton.x), jnp.abs(found.newton.parameter)
-        bent = _bent(here, start.modes[0], extended.column, found.newton.beta)
-        skew = found.skew / radian
-        asymmetric = branches & (bent > _DISTURBED) & (jnp.abs(skew) > _SKEW)
-        settled = (change <= _SETTLED) & (size <= _MOTION)
-        move, symmetry = loop.symmetry.moves(skew, settled, asymmetric)
+        bent = bent_by(here, start.modes[0], extended.column, found.newton.beta)
+        settled = (change <= SETTLED) & (size <= _MOTION)
+        move, symmetry, asymmetric = loop.symmetry.search(
+            found.skew / radian, bent, settled, branches
+        )
         step = jax.tree.map(lambda n, s: n + move / radian * s, found.newton, found.sideways)
         # not further than the chart and the linearisation hold
         scale = jnp.minimum(1.0, 0.3 / jnp.maximum(here.size(step.x), 1e-12))
@@ -207,12 +176,12 @@ def _critical(family: Family, point: CriticalPoint, branches: Bool[Array, ""]) -
 
     zero, none = jnp.zeros_like(unit), jnp.zeros((), jnp.int32)
     place, no = Place.of(start.state), jnp.asarray(False)
-    symmetry = _Symmetry(zero, zero, jnp.full_like(unit, jnp.nan))
+    symmetry = Symmetry.unknown(unit)
     begun = _Loop(start.parameter, place, start.modes[0], zero, symmetry, zero, none, ~no, no)
     end = lax.while_loop(going, advance, begun)
     result = jnp.where(end.done, Result.SUCCESS, Result.NEWTON_FAILED)
     result = jnp.where(jnp.isfinite(end.change), result, Result.NON_FINITE)
-    asymmetric = (end.bent > _SYMMETRIC) & branches
+    asymmetric = (end.bent > SYMMETRIC) & branches
     result = jnp.where(end.done & asymmetric, Result.NO_BRANCH_POINT, result).astype(jnp.int32)
 
     extended = equations(family, end.parameter, end.place, end.holds)
@@ -229,15 +198,6 @@ def _critical(family: Family, point: CriticalPoint, branches: Bool[Array, ""]) -
     parameter, state, modes = not_a_number(known, result != 0)
     return dataclasses.replace(
         point, parameter=parameter, state=state, modes=modes, origin=family.origin, result=result
-    )
-
-
-def _bent(equations, mode, column, beta) -> Float[Array, ""]:
-    """About how far what beta stands for bends the rod [rad]."""
-    wrench = column[: len(mode), 3:] * equations.scales.wrench[None]
-    scene = equations.scene
-    return jnp.abs(beta * jnp.sum(mode * wrench)) / (
-        elastic_of(scene) * jnp.sqrt(jnp.sum(scene.rod.length))
     )
 
 

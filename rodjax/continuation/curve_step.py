@@ -1,4 +1,4 @@
-"""A step along a curve of critical points in two parameters, and through its cusps.
+"""A step along a curve of folds in two parameters, and through its cusps.
 
 Unknowns are those of the extended equations of `singular_points`, (x, beta), and both parameters
 q = (p_1, p_2), with
@@ -43,7 +43,7 @@ _NOTHING, _BESIDE = 1e-5, 1e-3
 
 
 class CurvePoint(eqx.Module):
-    """A critical point of two parameters, and the curve's direction there."""
+    """A fold of two parameters, and the curve's direction there."""
 
     parameters: Float[Array, "2"]
     place: Place
@@ -86,15 +86,13 @@ def curve_step(
     row: Tangent,
     length: Float[Array, ""],
     units: Float[Array, "2"],
-    branches: Bool[Array, ""],
 ) -> CurveStep:
-    """The critical point at this distance along the row, predicted along the tangent.
+    """The fold at this distance along the row, predicted along the tangent.
 
     Args:
         family: its parameter is a pair of them.
         row: at right angles to which the correction is made.
         units: of both parameters.
-        branches: whether these are branch points, or folds.
     """
     place, q = start.place, start.parameters
     weight = motion_weight(family.equations(q, place), row.x)
@@ -109,15 +107,13 @@ def curve_step(
         x, here = family.guess(q, place), family.equations(q, place)
         column, border = borders(here, start.mode, x)
         free, pairs = held(here, start.free, x), family.pairs(q, place, x)
-        none = jnp.zeros_like(length)
-        extended = SingularPoint(family, place, column, border, free, none + 1.0, branches, pairs)
+        none, no = jnp.zeros_like(length), jnp.asarray(False)
+        extended = SingularPoint(family, place, column, border, free, none + 1.0, no, pairs)
         along, beta, of_g = extended.responses(q, jnp.diag(units))
-        # how far along both parameters and c: g is zero, and beta at a fold, which goes along c
-        # where a branch point does not, and the length is that asked
-        second = jnp.where(branches, jnp.stack([none, none, none + 1.0]), beta[1:])
-        rows = jnp.stack([of_g[1:], second, jax.vmap(inner)(along[1:], jnp.eye(3, 2))])
+        # how far along both parameters and c: g and beta are zero, and the length is that asked
+        rows = jnp.stack([of_g[1:], beta[1:], jax.vmap(inner)(along[1:], jnp.eye(3, 2))])
         short = length - loop.gone - jnp.sum(measured * along[0])
-        known = jnp.stack([-beta[-1] - of_g[0], jnp.where(branches, none, -beta[0]), short])
+        known = jnp.stack([-beta[-1] - of_g[0], -beta[0], short])
         last = jnp.stack([none, none, none + 1.0])
         numbers = jnp.linalg.solve(rows, jnp.stack([known, last], 1)).T
         dx = along[0] + jnp.einsum("i,inr->nr", numbers[0], along[1:])
