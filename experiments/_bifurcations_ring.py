@@ -7,8 +7,8 @@ mu = M L/(2 pi A) they obey
 
     p = mu(Wr) A/C + Wr,     mu(0) = sqrt(3),     mu'(0) = -11/8,     mu(1) = 0.
 
-The branch so begins at p = sqrt(3) A/C (Michell), turns back there where C/A < 11/8, and passes the
-figure 8, Wr = 1, at one turn.
+of which -11/8 is what the grids tend to. The branch so begins at p = sqrt(3) A/C (Michell), turns
+back there where C/A < 11/8, and passes the figure 8, Wr = 1, at one turn.
 """
 
 import dataclasses
@@ -21,7 +21,7 @@ from _bifurcations_scenes import RATIO, curves, drawn_on, finer, first_branch
 import rodjax as rx
 
 MICHELL = np.sqrt(3)  # turns, times A/C
-SLOPE = -11 / 8  # d mu/d Wr of the ring that has just left its plane
+SLOPE = -11 / 8  # d mu/d Wr of the ring that has just left its plane, as grids tend to
 STIFF = 2.0  # torsional over bending stiffness of a ring that leaves its plane gently (DNA's)
 DIAMETER = 1 / 57  # of the strands, over the length: a DNA minicircle of 336 base pairs
 FORCE = 100.0  # that contact is made for [A/L^2]
@@ -38,7 +38,7 @@ def find(elements: int, quick: bool) -> dict:
     print(
         f"ring: threshold off sqrt(3) A/C by {off[0]:.2e} ({grids[0]} elements), {off[1]:.2e}"
         f" ({grids[1]}), {limit:.0e} (drawn on); d mu/d Wr there {slopes[0]:.4f}, {slopes[1]:.4f},"
-        f" exact {SLOPE:g}",
+        f" towards {SLOPE:g}",
         flush=True,
     )
     found["branches"] = {

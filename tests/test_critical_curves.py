@@ -48,7 +48,7 @@ def test_folds_of_a_pushed_strip_meet_in_a_cusp_where_the_perfect_one_buckles():
     straight = rx.path(perfect, still, 30.0, 45.0, longest_step=0.5)
     buckled = rx.branch(perfect, straight.critical[0], (30.0, 44.0)).state(-1)
     far = -8.0 * float(np.sign(buckled.position[8, 1]))
-    (fold,) = rx.path(at(pushed, 44.0), buckled, 0.0, far).critical
+    (fold,) = rx.path(at(pushed, 44.0), buckled, 0.0, far, modes=3).critical
     curve = rx.critical_curve(pushed, fold, 44.0, 30.0)
     assert curve.end is rx.PathEnd.START and curve.result == 0
     load = float(straight.critical[0].parameter)

@@ -43,6 +43,7 @@ def critical_curve(
         points: at most so many.
         first_step, longest_step: lengths along the curve, in radians that sections turn by (root
             mean square), and of the parameters over their units: `point.unit` and |stop - start|.
+            Of branch points, of the second parameter alone.
         throw: raise where no next point was found; the error's `partial` holds the curve so far.
             Otherwise its `end` and `result` tell.
 

@@ -24,9 +24,6 @@ _SHORTEST, _GENTLE = 1e-4, 1e-2
 # Steps by which a cusp is found, and what of the slope before it is left there.
 _SECANTS, _RESTS = 8, 1e-6
 
-# Among how many modes what costs nothing is looked for.
-_MODES = 5
-
 # How much longer the next step may be.
 _LONGER = 1.6
 
@@ -45,7 +42,7 @@ class Folds(NamedTuple):
         if int(step.result) != Result.SUCCESS:
             lost = jax.tree.map(lambda leaf: jnp.nan * leaf, step.point)
             return self._given_out([lost], [], PathEnd.FAILED, Result(int(step.result)))
-        seen = first_motions(self.given.modes.shape[1], _MODES, self.units.dtype)
+        seen = first_motions(self.given.free.shape[1], len(self.given.free), self.units.dtype)
         point, seen = with_free(self.family, step.point, seen)
         passed, cusps, length = [point], [], first_step
         why, code = PathEnd.POINTS, Result.SUCCESS
@@ -127,13 +124,12 @@ class Folds(NamedTuple):
 
     def _point(self, found: CurvePoint) -> CriticalPoint:
         given = self.given
-        beside = jnp.zeros_like(given.free).at[: len(found.free)].set(found.free)
         return dataclasses.replace(
             given,
             parameter=found.parameters[0],
             state=self.family.state(found.parameters, found.place),
             modes=found.mode[None],
-            free=beside,
+            free=found.free,
         )
 
 
