@@ -7,8 +7,8 @@ Of a ring of elements whose edges yield as thermal rods do, the density of frame
 phi_i the relative rotations, t_i the tangent half way, and h_i normal with the variance ds kT c of
 each component (c the compliance). Of the edges whose sum is none, the h_i are those of the free
 ring less the mean of all edges, and frames are left with exp(-|sum ds t_i|^2/(2 n ds kT c)). One
-frame after the other is turned a little; then all h_i are partly drawn anew. Contact is that of the
-scene, summed over points of its own, two an element.
+frame after the other is turned a little; then all h_i are partly drawn anew. Contact is the energy
+of the scene's, over its own points: its forces and its search are not used.
 """
 
 from functools import partial
@@ -16,13 +16,14 @@ from functools import partial
 import jax
 import jax.numpy as jnp
 import numpy as np
-from _molecule import EXCLUSION
 
 import rodjax as rx
-from rodjax.interactions.contact_laws import PairProperties, continued_potential
+from rodjax.interactions.contact_energy import pair_energy
+from rodjax.interactions.contact_laws import PairProperties
 from rodjax.rods import topology
 
 _TURN, _KEPT = 0.25, 0.8  # size of a frame's turn [rad], what is kept of h
+_KNOWN = 4000  # distances in the table of the contact's energy
 
 
 def writhes(scene: rx.Scene, kt: float, chains: int, sweeps: int, seed: int) -> np.ndarray:
@@ -87,17 +88,22 @@ def _chain(scene, kt, frames, sweeps, key):
 
 
 def _repelled(scene: rx.Scene, position):
-    """Energy of the contact, zero at its cut-off, without what is near along the ring."""
+    """Energy of the contact over its own points, by a table of its law's energy by distance."""
     contact, rod = scene.contact, scene.rod
-    n, spacing = rod.elements, float(np.asarray(rod.length)[0])
-    at = np.arange(2 * n) / 2 + 0.25
+    n, count, spacing = rod.elements, contact.points_per_segment, float(rod.length[0])
+    at = (np.arange(count * n) + 0.5) / count
     apart = np.abs(at[:, None] - at)
-    first, second = np.nonzero(np.triu(np.minimum(apart, n - apart) * spacing > EXCLUSION))
-    points = position[:-1, None] + jnp.diff(position, axis=0)[:, None] * jnp.array(
-        [[[0.25], [0.75]]]
-    )
-    points = points.reshape(2 * n, 3)
+    near = np.minimum(apart, n - apart) * spacing < float(contact.exclusion)
+    first, second = np.nonzero(np.triu(~near))
+    part = (jnp.arange(count) + 0.5)[:, None] / count
+    points = position[:-1, None] + part * jnp.diff(position, axis=0)[:, None]
+    points = points.reshape(count * n, 3)
     distance = jnp.sqrt(jnp.sum((points[first] - points[second]) ** 2, 1))
-    pair = PairProperties(rod.diameter[0], None)
-    energy = lambda d: continued_potential(contact.law, d, pair)
-    return jnp.sum(jnp.maximum(energy(distance) - energy(contact.cutoff), 0.0)) * spacing**2 / 4
+    known = np.linspace(0.05, float(contact.cutoff), _KNOWN)
+    pair = PairProperties(jnp.full(_KNOWN, rod.diameter[0]), None)
+    energy = pair_energy(contact, jnp.asarray(known), pair)
+    place = jnp.clip((distance - known[0]) / (known[1] - known[0]), 0.0, _KNOWN - 1.001)
+    below, over = place.astype(int), place % 1.0
+    found = energy[below] * (1 - over) + energy[below + 1] * over
+    within = jnp.where(distance < known[-1], found, 0.0)
+    return jnp.sum(within) * (spacing / count) ** 2

@@ -1,13 +1,12 @@
 """Steps from one point of a path to the next, and to where something is met."""
 
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from rodjax.continuation.arc_step import Aim, ArcStep, Tangent, arc_step, cosine
-from rodjax.continuation.curve_step import CurveStep
 from rodjax.continuation.family import Family, Place
 from rodjax.continuation.looking import Look, look
 from rodjax.continuation.near_modes import Motions
@@ -31,6 +30,19 @@ class Point(NamedTuple):
     place: Place
     tangent: Tangent
     look: Look
+
+
+class Made(Protocol):
+    """What a step of any kind says of how it went."""
+
+    @property
+    def result(self) -> jax.Array: ...
+    @property
+    def corrected(self) -> jax.Array: ...
+    @property
+    def along(self) -> jax.Array: ...
+    @property
+    def iterations(self) -> jax.Array: ...
 
 
 class Walker(NamedTuple):
@@ -93,7 +105,7 @@ class Walker(NamedTuple):
         return Point(parameter, place, tangent, found)
 
 
-def fits(step: ArcStep | CurveStep, length: float, gently: bool) -> bool:
+def fits(step: Made, length: float, gently: bool) -> bool:
     """Whether a step found the path's next point, and not one of another path.
 
     Args:
@@ -106,7 +118,7 @@ def fits(step: ArcStep | CurveStep, length: float, gently: bool) -> bool:
     return float(step.along) > (0.0 if gently else _ALONG)
 
 
-def next_length(step: ArcStep | CurveStep, length: float) -> float:
+def next_length(step: Made, length: float) -> float:
     """How long the next step may be."""
     angle = np.arccos(np.clip(float(step.along), -1.0, 1.0))
     wanted = min(_ANGLE / max(angle, 1e-9), (_ITERATIONS + 1) / (float(step.iterations) + 1))
