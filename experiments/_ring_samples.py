@@ -90,7 +90,8 @@ def _chain(scene, kt, frames, sweeps, key):
 def _repelled(scene: rx.Scene, position):
     """Energy of the contact over its own points, by a table of its law's energy by distance."""
     contact, rod = scene.contact, scene.rod
-    n, count, spacing = rod.elements, contact.points_per_segment, float(rod.length[0])
+    n, count = rod.elements, contact.points_per_segment
+    spacing = float(np.asarray(rod.length)[0])
     at = (np.arange(count * n) + 0.5) / count
     apart = np.abs(at[:, None] - at)
     near = np.minimum(apart, n - apart) * spacing < float(contact.exclusion)

@@ -1,19 +1,14 @@
 """Where the example's loop collapses, and what its contact law has to do with that."""
 
 import dataclasses
-import sys
-from pathlib import Path
 
+import example
+import example_path
 import jax
 import jax.numpy as jnp
 import pytest
 
 import rodjax as rx
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "experiments"))
-
-import example
-import example_path
 
 
 @pytest.mark.slow

@@ -1,17 +1,12 @@
 """The measurement of error against run time: its measures, and its short mode."""
 
 import json
-import sys
-from pathlib import Path
-
-import numpy as np
-import pytest
-from test_experiments import _run
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "experiments"))
 
 import error_vs_runtime
+import numpy as np
+import pytest
 import runtime_methods
+from experiment_runs import run_experiment
 from runtime_report import extrapolation_gain, seconds_at
 from runtime_scenes import PROBLEMS, Record, at_points, errors
 
@@ -80,7 +75,7 @@ def test_methods_run_what_they_can():
 
 @pytest.mark.slow
 def test_short_mode(tmp_path):
-    text = _run("error_vs_runtime.py", "--quick", "--out", str(tmp_path))
+    text = run_experiment("error_vs_runtime.py", "--quick", "--out", str(tmp_path))
     summary = json.loads((tmp_path / "summary.json").read_text())
     assert summary["rows"] == json.loads((tmp_path / "results.json").read_text())
     assert all(one["result"] == "SUCCESS" for one in summary["rows"])

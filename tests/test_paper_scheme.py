@@ -2,12 +2,12 @@
 
 import dataclasses
 import json
-import sys
-from pathlib import Path
 
 import equinox as eqx
+import example
 import jax.numpy as jnp
 import numpy as np
+import paper_scheme
 import pytest
 from helpers import final_state, order_of, relative_difference
 from jax import lax
@@ -25,11 +25,6 @@ from rodjax.reference.paper_solvers import BlockSolve, Shooting
 from rodjax.rods.builders import straight_rod
 from rodjax.rods.section import Section, circular_section
 from rodjax.scenes.scene import Scene
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "experiments"))
-
-import example
-import paper_scheme
 
 DRAG = MorisonDrag(1.0, 2.0, 0.5)
 

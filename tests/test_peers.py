@@ -3,19 +3,14 @@
 import dataclasses
 import importlib.util
 import json
-import sys
-from pathlib import Path
 
 import jax.numpy as jnp
 import numpy as np
-import pytest
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "experiments"))
-
 import peer_dismech
 import peer_problems
 import peer_pyelastica
 import peers
+import pytest
 
 import rodjax as rx
 

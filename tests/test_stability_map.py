@@ -2,16 +2,11 @@
 
 import json
 import sys
-from pathlib import Path
 
 import pytest
-
-ROOT = Path(__file__).parents[1]
-sys.path.insert(0, str(ROOT / "experiments"))
-
-import stability_map  # noqa: E402
-from stability_cells import AXES, PAIRS, Cell, cells  # noqa: E402
-from stability_oracle import Verdict, verdict  # noqa: E402
+import stability_map
+from stability_cells import AXES, PAIRS, Cell, cells
+from stability_oracle import Verdict, verdict
 
 GOOD = {
     "code": "SUCCESS", "mend": None, "finite": True, "linking": 1e-12, "created": 0.0,

@@ -1,17 +1,12 @@
 """DNA at room temperature: the theory that experiments compare with, and that they run."""
 
 import json
-import sys
-from pathlib import Path
-
-import numpy as np
-import pytest
-import thermal_oracles
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "experiments"))
 
 import _wormlike
 import minicircle
+import numpy as np
+import pytest
+import thermal_oracles
 import thermal_rate
 import tweezers
 

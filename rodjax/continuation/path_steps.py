@@ -1,6 +1,6 @@
 """Steps from one point of a path to the next, and to where something is met."""
 
-from typing import NamedTuple, Protocol
+from typing import NamedTuple, Protocol, runtime_checkable
 
 import jax
 import jax.numpy as jnp
@@ -32,6 +32,7 @@ class Point(NamedTuple):
     look: Look
 
 
+@runtime_checkable
 class Made(Protocol):
     """What a step of any kind says of how it went."""
 
