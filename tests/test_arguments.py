@@ -203,6 +203,14 @@ SLIPS = {
         "chunk: must be a whole number",
         lambda: compile_adaptive_rollout(SCENE, STATE, chunk=0),
     ),
+    "method to compile in the state's place": (
+        "state: .*give a State",
+        lambda: compile_adaptive_rollout(SCENE, rx.GeneralizedAlpha()),
+    ),
+    "method to compile": (
+        r"method: .*GeneralizedAlpha\(",
+        lambda: compile_adaptive_rollout(SCENE, STATE, rx.GeneralizedAlpha),
+    ),
     "chosen steps in traced code": (
         "scene, state: adaptive_rollout cannot be traced; replay its times by rollout",
         lambda: jax.jit(lambda t: rx.adaptive_rollout(SCENE, STATE, t))(1.0),

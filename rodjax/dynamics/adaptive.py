@@ -285,6 +285,10 @@ def compile_adaptive_rollout(
     """
     chunk = as_integer(chunk)
     check_integer(1, chunk=chunk)
+    if state is not None:
+        check_motion(scene, state)
+    if method is not None:
+        check_instance(GeneralizedAlpha, "give GeneralizedAlpha(...)", method=method)
     given = placeholder(scene) if state is None else prepare(scene, state)
     control, dtype = StepControl(), given.position.dtype
     method = GeneralizedAlpha() if method is None else method
@@ -310,8 +314,7 @@ def _compile_others(scene: Scene, state: State, with_start: bool) -> None:
     """What a run is begun by, and its chunks are begun and closed by."""
     if with_start:
         start(scene)
-    if scene.contact is not None:
-        passages.unexplained(scene, state, state)
+    passages.passed_unseen(scene, state, state)
     if scene.switch_times:
         begin_constraint(scene, state, compiled_restart)
     drives.astray(scene, _in_a_second(state), 0.0)

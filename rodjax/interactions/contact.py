@@ -53,9 +53,10 @@ class Contact(eqx.Module):
             Must not be less than the cut-off, or a straight rod would repel itself.
         capacities: numbers of vertices in contact for which a dense solver is compiled, increasing;
             the smallest that fits is used at each step, and a run that outgrows the largest says
-            so. Default: 64, and all vertices; between them, where there are more than a hundred, a
-            solver for strips of strands whose cost is linear in the elements (`contact_capacities`;
-            dense ones by doubling where JAX's default backend is no CPU). Under `vmap` give one.
+            so. Default: 16, 64 and on by fours, and all vertices; beside them, where there are
+            more than a hundred, a solver for strips of strands whose cost is linear in the elements
+            (`contact_capacities`; none where JAX's default backend is no CPU). Under `vmap` give
+            one.
         pairs_per_segment: capacity of the list of near pairs, per vertex of `capacities`. Default:
             what two strands side by side need, by the rod of the scene; 4 where its length or the
             cut-off is not known, as in traced code.
@@ -293,9 +294,9 @@ class Contact(eqx.Module):
         vertices = self.vertices
         if self.capacities is not None:
             return tuple(sorted({min(size, vertices) for size in self.capacities}))
-        sizes = [64]
+        sizes = [16]
         while sizes[-1] < vertices:
-            sizes.append(2 * sizes[-1])
+            sizes.append(4 * sizes[-1])
         # each size costs compile time: none that nearly is all vertices
         return (*[size for size in sizes if size < 0.7 * vertices], vertices)
 

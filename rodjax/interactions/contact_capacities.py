@@ -26,18 +26,21 @@ class Capacity(NamedTuple):
 
 # dense systems up to so many unknowns are cheaper than a front; a second pays beyond the other
 _DENSE, _WIDE = 350, 750
+_FEW = 64  # vertices for which a dense system is tried before a front
+_MOST = 3100  # unknowns of the largest dense system: more take many seconds an iteration
 # a smaller dense system is compiled if it is so much smaller than the largest
 _WORTH = 0.6
 _FRONTS = (FrontSize(16, 6), FrontSize(24, 8))
+_TANGLED = FrontSize(40, 24)  # takes ten rods that all cross each other
 
 
 def capacities(contact: Contact, elements: int) -> tuple[Capacity, ...]:
     """The sizes of `Contact` on a grid, in the order in which they are tried.
 
     Contact couples the vertices that it touches, or the nodes between which these lie, whichever
-    are fewer. Of nodes a stretch of vertices has its share of the grid and up to four more. Where
-    many can touch, they are eliminated by a front, if one is wide enough; on accelerators, whose
-    threads a front leaves idle, never.
+    are fewer. Of nodes a stretch of vertices has its share of the grid and up to four more. More
+    than a few are eliminated by a front, if one is wide enough, as it is for strands side by side
+    and not for a tangle; on accelerators, whose threads a front leaves idle, never.
     """
     finer = contact.vertices - 1 > elements
 
@@ -58,4 +61,8 @@ def capacities(contact: Contact, elements: int) -> tuple[Capacity, ...]:
     if contact.capacities or largest <= _DENSE or jax.default_backend() != "cpu":
         return dense
     fronts = _FRONTS if largest > _WIDE else _FRONTS[:1]
-    return (dense[0], *(dense[-1]._replace(front=size) for size in fronts), dense[-1])
+    few = sum(one.vertices <= _FEW for one in dense[:-1])
+    of_all = lambda sizes: tuple(dense[-1]._replace(front=size) for size in sizes)
+    more = tuple(one for one in dense[few:] if contact.width * one.points <= _MOST)
+    last = of_all((_TANGLED,)) if largest > _MOST else ()
+    return (*dense[:few], *of_all(fronts), *more, *last)

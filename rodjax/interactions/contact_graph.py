@@ -13,7 +13,7 @@ from rodjax.numerics.frontal import Distant, Stencils
 
 # two vertices coupled by strands side by side, per near pair of their segments, and to spare
 _COUPLED = 6
-_SEATS = 16  # that an order is tried with
+_SEATS = 24  # that an order is tried with
 _BETWEEN = 4  # nodes between vertices; of more than these no front is wide enough
 
 

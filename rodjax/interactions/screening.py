@@ -216,7 +216,7 @@ def _listed(near: Bool[Array, "g g"] | None, sizes, sites: Sites, nodes: int) ->
         yes = jnp.asarray(True)
         wide = [yes if size.front is None else graph.fits(size.front) for size in sizes]
         fits = fits & jnp.stack(wide)
-    overflow = ~fits[-1]
+    overflow = ~jnp.any(fits)
     capacity = jnp.where(overflow, len(sizes), jnp.argmax(fits) + 1)
     capacity = jnp.where(count == 0, 0, capacity).astype(jnp.int32)
     count = jnp.minimum(count, room)
