@@ -65,15 +65,15 @@ def test_a_strip_is_solved_as_a_dense_system(bent, monkeypatch):
     # however few joints are in contact, by a front, or as a dense system if it is too narrow
     whole = contact_capacities.capacities(scene.contact, len(b) - 1)[-1]
     size = FrontSize(24, 8)
-    for module in (screening, coupling):
-        monkeypatch.setattr(
-            module, "capacities", lambda *given: (whole._replace(front=size), whole)
-        )
-    front, found, product = solutions()
-    assert front == size
-    np.testing.assert_allclose(product, b, atol=1e-11)
-    for one, other in zip(found, expected, strict=True):
-        np.testing.assert_allclose(one, other, rtol=1e-9, atol=1e-11)
+    for kept in (True, False):  # its factors, or eliminated for each right side
+        strip = whole._replace(front=size, kept=kept)
+        for module in (screening, coupling):
+            monkeypatch.setattr(module, "capacities", lambda *given, strip=strip: (strip, whole))
+        front, found, product = solutions()
+        assert front == size
+        np.testing.assert_allclose(product, b, atol=1e-11)
+        for one, other in zip(found, expected, strict=True):
+            np.testing.assert_allclose(one, other, rtol=1e-9, atol=1e-11)
 
 
 @pytest.mark.parametrize("bent", [14], indirect=True)

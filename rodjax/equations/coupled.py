@@ -63,8 +63,11 @@ class CoupledSystem(eqx.Module):
             return EliminatedBlocks.of(blocks)
 
         def numbers(capacity, blocks, coupling):
+            if not capacity.kept:
+                return jnp.zeros((len(blocks.diagonal), 0), blocks.diagonal.dtype), nothing
             return _elimination(capacity).of(blocks, coupling, capacity).numbers()
 
+        nothing = jnp.zeros((0,), jnp.int32)
         # jitted so as to be traced once, for the sizes and for the branches
         each = [jax.jit(partial(numbers, capacity)) for capacity in coupling.capacities]
         sizes = [[x.shape[-1] for x in jax.eval_shape(one, blocks, coupling)] for one in each]
@@ -139,15 +142,17 @@ class Eliminated(eqx.Module):
         """What is asked of the solver for what is in contact."""
 
         def by(capacity):
-            def answer(coupling, rows, order, *given):
-                return asked(
-                    _elimination(capacity).from_numbers(coupling, capacity, rows, order), *given
-                )
+            kind = _elimination(capacity)
+
+            def answer(blocks, coupling, rows, order, *given):
+                if not capacity.kept:
+                    return asked(kind.of(blocks, coupling, capacity), *given)
+                return asked(kind.from_numbers(coupling, capacity, rows, order), *given)
 
             return answer
 
         branches = [by(capacity) for capacity in self.coupling.capacities]
-        numbers = self.coupling, self.rows, self.order
+        numbers = self.blocks, self.coupling, self.rows, self.order
         return lax.switch(self.coupling.pairs.capacity - 1, branches, *numbers, *given)
 
 

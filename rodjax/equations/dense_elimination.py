@@ -24,6 +24,7 @@ from rodjax.numerics.signs import determinant_signs, negative_in_all
 
 # Vertices up to which their matrix is made first, and pairs that are added to it at once.
 _FEW, _TOGETHER = 64, 16
+_COLUMNS = 96  # of the response that are made at once
 
 
 class DenseElimination(eqx.Module):
@@ -41,7 +42,7 @@ class DenseElimination(eqx.Module):
     ) -> "DenseElimination":
         """Of blocks + coupling, whose vertices in contact the capacity must hold."""
         factors = blocks.factorize()
-        response = _response(factors, coupling, capacity, _rows(coupling, capacity))
+        response = _response(factors, coupling, capacity, _derivative(coupling, capacity))
         eye = jnp.eye(len(response), dtype=response.dtype)
         lu, _, order = lax.linalg.lu(eye + response)
         return cls(coupling, capacity, factors, lu, order)
@@ -83,7 +84,7 @@ class DenseElimination(eqx.Module):
         size = coupling.width * capacity.points
         eye = jnp.eye(size, dtype=self.lu.dtype)
         derivative = _derivative(coupling, capacity).reshape(size, size)
-        units = _on_nodes(coupling, capacity, eye.reshape(-1, coupling.width, size))
+        units = eye.reshape(-1, coupling.width, size)
         given = _response(self.factors, coupling, capacity, units)
         matrix = jnp.block([[-given, -eye], [-eye, derivative]])
         pivots = blocks.pivots(self.factors)[:, np.array(AS_COLUMNS)]
@@ -106,11 +107,6 @@ class DenseElimination(eqx.Module):
         flat = rows[:, 3 * size : 3 * size + share].reshape(-1)
         lu = flat[: k * k].reshape(k, k)
         return cls(coupling, capacity, Factors(*parts), lu, order[:k])
-
-
-def _rows(coupling: Coupling, capacity: Capacity) -> Float[Array, "nodes w k"]:
-    """Forces on all nodes by displacements of the vertices in contact, or of their nodes."""
-    return _on_nodes(coupling, capacity, _derivative(coupling, capacity))
 
 
 def _derivative(coupling: Coupling, capacity: Capacity) -> Float[Array, "m w k"]:
@@ -217,11 +213,43 @@ def _vertices(
 
 
 def _response(
-    factors: Factors, coupling: Coupling, capacity: Capacity, forces: Float[Array, "nodes w k"]
+    factors: Factors, coupling: Coupling, capacity: Capacity, rows: Float[Array, "m w k"]
 ) -> Float[Array, "k k"]:
-    """R^T A^-1 L times forces on the nodes: displacements in contact that they cause."""
+    """R^T A^-1 L times forces on the vertices in contact, or on their nodes: what these move by.
+
+    A part of the columns after the other, as far as there are forces: what touches is first, and
+    may be much less than the capacity holds. On accelerators all at once.
+    """
     # A^-1 (L K), not (A^-1 L) K: a product of large matrices less
     carried = jnp.concatenate([factors.inverse @ coupling.left, -factors.lower], 2)
+
+    def moved(part):
+        forces = _on_nodes(coupling, capacity, part)
+        return _read(coupling, _displaced(factors, coupling, carried, forces), capacity)
+
+    size = rows.shape[2]
+    if size <= _COLUMNS or jax.default_backend() != "cpu":
+        return moved(rows)
+    rows = jnp.pad(rows, ((0, 0), (0, 0), (0, -size % _COLUMNS)))
+    given = jnp.any(rows != 0, (0, 1))
+    last = jnp.max(jnp.where(given, jnp.arange(1, len(given) + 1, dtype=jnp.int32), 0))
+
+    def some(i, found):
+        at = i * _COLUMNS
+        part = lax.dynamic_slice_in_dim(rows, at, _COLUMNS, 2)
+        return lax.dynamic_update_slice_in_dim(found, moved(part), at, 1)
+
+    parts = (largest(last) + _COLUMNS - 1) // _COLUMNS
+    return lax.fori_loop(0, parts, some, jnp.zeros((size, len(given)), rows.dtype))[:, :size]
+
+
+def _displaced(
+    factors: Factors,
+    coupling: Coupling,
+    carried: Float[Array, "nodes 9 c"],
+    forces: Float[Array, "nodes w k"],
+) -> Float[Array, "nodes w k"]:
+    """Displacements of the nodes by forces on them."""
 
     def forward(previous, row):
         carry, force = row
@@ -237,4 +265,4 @@ def _response(
     zero = jnp.zeros((9, forces.shape[2]), forces.dtype)
     _, middle = lax.scan(forward, zero, (carried, forces))
     rows = (factors.upper, middle, coupling.right)
-    return _read(coupling, lax.scan(backward, zero, rows, reverse=True)[1], capacity)
+    return lax.scan(backward, zero, rows, reverse=True)[1]

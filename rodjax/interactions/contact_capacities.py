@@ -17,6 +17,7 @@ class Capacity(NamedTuple):
     pairs: int  # of segments in the list
     nodes: int | None  # between which the vertices lie; None: of no use, vertices are fewer
     front: FrontSize | None = None  # None: what touches is eliminated as a dense system
+    kept: bool = True  # whether the factors are, or are made for every right side anew
 
     @property
     def points(self) -> int:
@@ -64,5 +65,6 @@ def capacities(contact: Contact, elements: int) -> tuple[Capacity, ...]:
     few = sum(one.vertices <= _FEW for one in dense[:-1])
     of_all = lambda sizes: tuple(dense[-1]._replace(front=size) for size in sizes)
     more = tuple(one for one in dense[few:] if contact.width * one.points <= _MOST)
-    last = of_all((_TANGLED,)) if largest > _MOST else ()
+    # so large that keeping room for its factors would cost the others more than they take
+    last = tuple(one._replace(kept=False) for one in of_all((_TANGLED,)) if largest > _MOST)
     return (*dense[:few], *of_all(fronts), *more, *last)
