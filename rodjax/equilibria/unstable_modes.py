@@ -13,6 +13,7 @@ sign of its determinant tells whether the number of modes that diverge is odd; f
 
 import dataclasses
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -85,14 +86,17 @@ def _count(equations: Equations[AtRest], x, added: Float[Array, "nodes 6"]) -> I
     known = [node if isinstance(node, int) else None for node in places]
     moving = tuple(node for node in places if not isinstance(node, int))
 
-    def counted(system, projectors, moving, even):
-        given = iter(moving)
-        nodes = tuple(next(given) if node is None else node for node in known)
-        return _counted(system, projectors, nodes, even, equations=equations, x=x)
+    # given, not closed over: what `one_by_one` closes over must not differ from lane to lane
+    arrays, rest = eqx.partition(equations, eqx.is_array)
 
-    held = equations.projectors, moving
+    def counted(system, projectors, moving, even, arrays, x):
+        given, same = iter(moving), eqx.combine(arrays, rest)
+        nodes = tuple(next(given) if node is None else node for node in known)
+        return _counted(system, projectors, nodes, even, equations=same, x=x)
+
+    held = equations.projectors, moving, even, arrays, x
     if scene.contact is None:
-        return counted(CoupledSystem(blocks), *held, even)
+        return counted(CoupledSystem(blocks), *held)
     motion = equations.motion(x)
     found = scene.find_contact(motion.position)
     nowhere = jnp.zeros((0, 6, 6), x.dtype), ()
@@ -107,7 +111,7 @@ def _count(equations: Equations[AtRest], x, added: Float[Array, "nodes 6"]) -> I
 
     # under `vmap` those that touch one by one
     easy = lambda blocks, coupling, *rest: coupling.pairs.capacity == 0
-    return one_by_one(one, (easy, apart))(blocks, coupling, *held, even)
+    return one_by_one(one, (easy, apart))(blocks, coupling, *held)
 
 
 def _tangent(equations: Equations[AtRest], x) -> BlockTridiagonal:
