@@ -10,7 +10,7 @@ NECKED = 7.531815  # M L/A of the example's neck
 
 def find(elements: int, quick: bool) -> dict:
     """Critical loads against the continuous theory, on refined grids."""
-    grids = (16, elements) if quick else (32, 64, 128, 256, 512)
+    grids = (16, elements) if quick else (64, 128, 256, 512, 1024)
     out: dict = {}
     for elements in grids:
         rod, necked = rod_of(elements), rod_of(elements, necked=True)

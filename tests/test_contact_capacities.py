@@ -34,6 +34,7 @@ def test_few_are_tried_first_then_strips_then_many():
     sizes = lambda segments, grid=200: sizes_of(rx.Contact(law, segments, 0.012), grid)
     narrow, wide = contact_capacities._FRONTS
     assert sizes(10) == [11]
+    assert sizes(60) == [61]
     assert sizes(100) == [16, 101]  # 303 unknowns: no strip is cheaper
     assert sizes(200) == [16, 64, narrow, 201]
     assert sizes(800) == [16, 64, narrow, 256, 801]  # between 201 nodes

@@ -29,8 +29,8 @@ class Capacity(NamedTuple):
 _DENSE, _WIDE = 350, 750
 _FEW = 64  # vertices for which a dense system is tried before a front
 _MOST = 3100  # unknowns of the largest dense system: more take many seconds an iteration
-# a smaller dense system is compiled if it is so much smaller than the largest
-_WORTH = 0.6
+# a smaller dense system is compiled if it is so much smaller than the largest, and that is large
+_WORTH, _SMALL = 0.6, 200
 _FRONTS = (FrontSize(16, 6), FrontSize(24, 8))
 _TANGLED = FrontSize(40, 24)  # takes ten rods that all cross each other
 
@@ -55,10 +55,8 @@ def capacities(contact: Contact, elements: int) -> tuple[Capacity, ...]:
     dense = tuple(map(capacity, contact.sizes))
     largest = contact.width * dense[-1].points
     if not contact.capacities:  # each costs compile time: none that saves little of the largest
-        dense = (
-            *[one for one in dense if contact.width * one.points < _WORTH * largest],
-            dense[-1],
-        )
+        most = _WORTH * largest if largest > _SMALL else 0
+        dense = (*[one for one in dense if contact.width * one.points < most], dense[-1])
     if contact.capacities or largest <= _DENSE or jax.default_backend() != "cpu":
         return dense
     fronts = _FRONTS if largest > _WIDE else _FRONTS[:1]
