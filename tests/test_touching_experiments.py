@@ -5,8 +5,10 @@ from types import SimpleNamespace
 
 import jax.numpy as jnp
 import numpy as np
-import plectoneme
 import pytest
+from _plectoneme_scene import LENGTH, RADIUS, rod
+from _plectoneme_strands import middle, touching
+from _plectoneme_theory import angle_of, closed_form
 from experiment_runs import run_experiment
 
 
@@ -67,7 +69,7 @@ def test_plectoneme_in_short_mode(tmp_path):
 
 def test_ply_of_theory_is_where_its_energy_is_stationary():
     bending, radius, angle, step = 3.0, 0.7, 0.4, 1e-5
-    found = plectoneme.closed_form(bending, radius, angle)
+    found = closed_form(bending, radius, angle)
 
     def energy(radius, angle, length):
         bent = 0.5 * bending * np.sin(angle) ** 4 / radius**2
@@ -81,13 +83,13 @@ def test_ply_of_theory_is_where_its_energy_is_stationary():
     # strands press on each other by what the ply would lose if they came nearer
     pressed = slope(lambda x: energy(radius + x, angle, 1.0))
     assert found.pressure == pytest.approx(pressed, rel=1e-8)
-    assert plectoneme.angle_of(bending, radius, found.torque) == pytest.approx(angle, rel=1e-9)
+    assert angle_of(bending, radius, found.torque) == pytest.approx(angle, rel=1e-9)
 
 
 def test_ply_is_measured_as_it_was_made():
     # two helices about z that meet in a corner; the first goes up, so that its frames do not twist
-    whole = plectoneme.rod(400)
-    step, radius, angle = plectoneme.LENGTH / 400, 0.99 * plectoneme.RADIUS, np.radians(25)
+    whole = rod(400)
+    step, radius, angle = LENGTH / 400, 0.99 * RADIUS, np.radians(25)
     s = step * (np.arange(401) - 200)
     along = -np.abs(s) * np.cos(angle)
     turned = -np.abs(s) * np.sin(angle) / radius + np.where(s > 0, np.pi, 0.0)
@@ -99,7 +101,7 @@ def test_ply_is_measured_as_it_was_made():
     half[200] = 1.0, 0.0, 0.0, 0.0
     half /= np.linalg.norm(half, axis=1, keepdims=True)
     state = SimpleNamespace(position=position, quaternion=jnp.asarray(half))
-    inner = plectoneme.middle(plectoneme.touching(whole, state))
+    inner = middle(touching(whole, state))
     assert len(inner.node) > 50
     np.testing.assert_allclose(0.5 * inner.distance, radius, rtol=1e-4)
     for found in (inner.angle, inner.between_lines, inner.between_normals):
