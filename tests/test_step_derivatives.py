@@ -85,9 +85,18 @@ def loss(inputs):
     )
 
 
-value = jax.jit(loss)
 gradient = jax.jit(jax.grad(loss))
-slope = jax.jit(lambda inputs, step: jax.jvp(loss, (inputs,), (step,))[1])
+ahead = jax.jit(lambda inputs, step: jax.jvp(loss, (inputs,), (step,)))
+
+
+def slope(inputs, step):
+    """In forward mode."""
+    return ahead(inputs, step)[1]
+
+
+def value(inputs):
+    """By the same program, which is compiled once for both."""
+    return ahead(inputs, inputs)[0]
 
 
 def one_at_a_time(inputs, name, seed=0):

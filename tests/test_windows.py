@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from helpers import driven_scene
+from helpers import driven_scene, standing_run
 
 from rodjax.dynamics.consistency import start
 from rodjax.dynamics.fixed_rollout import rollout
@@ -59,13 +59,28 @@ def test_starts_have_derivatives(whole):
     assert np.all(np.isfinite(found)) and float(jnp.max(jnp.abs(found))) > 1e-3
 
 
-def test_windows_must_share_the_steps(whole):
+@pytest.fixture(scope="module")
+def standing():
+    """A run as long that nobody computed."""
+    scene = driven_scene(6)
+    return scene, standing_run(scene, 12, step_size=0.05)
+
+
+def test_windows_take_their_states_times_and_drives_from_the_run(standing):
+    _, run = standing
+    windows = cut(run, 3)
+    np.testing.assert_array_equal(windows.times, np.reshape(run.times[1:], (3, 4)))
+    np.testing.assert_array_equal(windows.starts.time, run.times[:-1:4])
+    np.testing.assert_array_equal(windows.starts.position, run.states.position[:-1:4])
+
+
+def test_windows_must_share_the_steps(standing):
     with pytest.raises(ValueError, match="count: the 12 steps of the run do not make 5"):
-        cut(whole[1], 5)
+        cut(standing[1], 5)
 
 
-def test_what_makes_no_windows_is_refused(whole):
-    scene, run = whole
+def test_what_makes_no_windows_is_refused(standing):
+    scene, run = standing
     for count in (0, -3, 2.5, True, "3", None, jnp.ones(2)):
         with pytest.raises(ValueError, match="count: must be a whole number"):
             bare(cut)(run, count)
