@@ -11,7 +11,7 @@ import pytest
 from jax import lax
 
 from rodjax import rotations
-from rodjax.constraints.ends import Clamped, Slider, Turn
+from rodjax.constraints.ends import Clamped, Slider, Switched, Turn
 from rodjax.dynamics.consistency import start
 from rodjax.dynamics.run import Run
 from rodjax.dynamics.stepping import no_info, prepare, step
@@ -185,3 +185,22 @@ def standing_run(scene: Scene, steps: int, first: float = 0.0, step_size: float 
     )
     zero = jnp.asarray(0, jnp.int32)
     return Run(states, infos, zero, zero, zero)
+
+
+def assert_identical(a, b):
+    """Equal trees: structure, classes, dtypes and every bit."""
+    assert jax.tree.structure(a) == jax.tree.structure(b)
+    for x, y in zip(jax.tree.leaves(a), jax.tree.leaves(b), strict=True):
+        assert type(x) is type(y)
+        if isinstance(x, jax.Array | np.ndarray):
+            assert (x.dtype, x.shape) == (y.dtype, y.shape)
+            assert np.asarray(x).tobytes() == np.asarray(y).tobytes()
+        else:
+            assert x == y
+
+
+def switched_scene() -> Scene:
+    """Driven, sliding until it is held in the middle of the run."""
+    driven = driven_scene(elements=8)
+    held = Switched(Slider(UP), Clamped(), 0.4)
+    return Scene(driven.rod, driven.first_end, held, driven.loads)

@@ -33,7 +33,7 @@ def test_mean_and_variance_are_those_of_all():
 @pytest.mark.parametrize("memory", [0.0, 0.9])
 def test_error_and_memory(memory):
     """tau = (1 + r)/(2 (1 - r)) of streams that remember r; the error is their scatter."""
-    found = _of(_remembering(2**15, memory, 200))
+    found = _of(_remembering(2**13, memory, 200))
     tau = 0.5 * (1 + memory) / (1 - memory)
     np.testing.assert_allclose(np.mean(found.correlation_time), tau, rtol=0.05)
     scatter = np.std(np.asarray(found.mean), ddof=1)

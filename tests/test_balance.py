@@ -1,5 +1,7 @@
 """Nodal balance and its tangent against the derivative of the discrete energy."""
 
+import functools
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -23,6 +25,7 @@ few = settings(max_examples=25, deadline=None)
 seeds = st.integers(0, 2**31)
 
 
+@functools.cache
 def rod_of(section):
     return straight_rod(
         2.0, ELEMENTS, section, natural_curvature=(0.1, lambda s: 0.2 * s, 0.3), jumps=(0.3,)

@@ -10,8 +10,7 @@ import jax.numpy as jnp
 import jaxtyping
 import numpy as np
 import pytest
-from helpers import standing_run
-from test_storage import assert_identical
+from helpers import assert_identical, standing_run
 
 from rodjax import storage
 from rodjax.constraints import ends

@@ -14,8 +14,8 @@ import jax.numpy as jnp
 import jaxtyping
 import numpy as np
 import pytest
-from helpers import driven_scene, standing_run
-from test_storage import CHUNK, CONTROL, METHOD, assert_identical
+from helpers import assert_identical, driven_scene, standing_run
+from test_resumed_runs import CHUNK, CONTROL, METHOD
 
 import rodjax
 from rodjax import storage

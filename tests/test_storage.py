@@ -1,4 +1,6 @@
-"""Storage: what comes back is equal bit for bit, goes on bit for bit, and is never half written."""
+"""Storage: what comes back is equal bit for bit, and is never half written."""
+
+import dataclasses
 
 import equinox as eqx
 import h5py
@@ -6,15 +8,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from helpers import driven_scene
+from helpers import assert_identical, standing_run, switched_scene
 
 from rodjax import storage
 from rodjax.constraints import ends
-from rodjax.dynamics.adaptive import adaptive_rollout
-from rodjax.dynamics.consistency import start
-from rodjax.dynamics.fixed_rollout import rollout
 from rodjax.dynamics.run import continued, join_runs
-from rodjax.dynamics.step_control import StepControl
+from rodjax.dynamics.step_control import Control, StepControl
 from rodjax.equations.generalized_alpha import GeneralizedAlpha
 from rodjax.files import run_files, sealed_files
 from rodjax.inputs import schedules
@@ -29,44 +28,32 @@ from rodjax.interactions.contact_laws import (
     LennardJones,
     Penalty,
 )
-from rodjax.numerics.results import ModelWarning, Result
+from rodjax.numerics.results import ModelWarning
 from rodjax.rods.builders import straight_rod
 from rodjax.rods.section import Section
 from rodjax.scenes.scene import Scene
 
-CHUNK = 8
-END = 1.0
-AXIS = (0.0, 0.0, 1.0)
 METHOD = GeneralizedAlpha(0.7)
 CONTROL = StepControl(absolute=1e-4)
 
 
-def _scene() -> Scene:
-    """Driven, sliding until it is held in the middle of the run."""
-    driven = driven_scene(elements=8)
-    held = ends.Switched(ends.Slider(AXIS), ends.Clamped(), 0.4)
-    return Scene(driven.rod, driven.first_end, held, driven.loads)
-
-
 @pytest.fixture(scope="module")
 def example():
-    """A scene and its uninterrupted run."""
-    scene = _scene()
-    run = adaptive_rollout(scene, start(scene), END, METHOD, CONTROL, chunk=CHUNK)
-    assert len(run.times) > 4 * CHUNK
-    return scene, run
-
-
-def assert_identical(a, b):
-    """Equal trees: structure, classes, dtypes and every bit."""
-    assert jax.tree.structure(a) == jax.tree.structure(b)
-    for x, y in zip(jax.tree.leaves(a), jax.tree.leaves(b), strict=True):
-        assert type(x) is type(y)
-        if isinstance(x, jax.Array | np.ndarray):
-            assert (x.dtype, x.shape) == (y.dtype, y.shape)
-            assert np.asarray(x).tobytes() == np.asarray(y).tobytes()
-        else:
-            assert x == y
+    """A scene, and a run that nobody computed, with the memory of an adaptive one."""
+    scene = switched_scene()
+    run = standing_run(scene, 12)
+    rng = np.random.default_rng(0)
+    scattered = {
+        name: value + 0.01 * jnp.asarray(rng.normal(size=value.shape))
+        for name in ("position", "quaternion", "rate", "acceleration", "auxiliary", "force")
+        for value in [getattr(run.states, name)]
+    }
+    scattered["quaternion"] /= jnp.linalg.norm(scattered["quaternion"], axis=-1, keepdims=True)
+    steps = [jnp.asarray(value) for value in (0.1, 1.5, 0.2, 1e-6)]
+    memory = Control(*steps, jnp.asarray(2, jnp.int32), *steps[:2])
+    values = lambda run: [getattr(run.states, name) for name in scattered]
+    run = eqx.tree_at(values, run, list(scattered.values()))
+    return scene, dataclasses.replace(run, control=memory)
 
 
 def test_everything_comes_back(example, tmp_path):
@@ -282,70 +269,6 @@ def test_newer_format_is_refused(example, tmp_path):
         storage.load(tmp_path / "run.h5")
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("stop_after", [1, 3])
-def test_interrupted_run_goes_on_bit_for_bit(example, tmp_path, stop_after):
-    """Ctrl-C between two chunks: the parts seen so far are a run that can be stored and resumed.
-
-    No step bounds are given: those chosen for the whole run are part of the stored memory.
-    """
-    scene, whole = example
-    parts = []
-
-    def on_chunk(part):
-        parts.append(part)
-        if len(parts) == stop_after:
-            raise KeyboardInterrupt
-
-    first = start(scene)
-    with pytest.raises(KeyboardInterrupt):
-        adaptive_rollout(scene, first, END, METHOD, CONTROL, chunk=CHUNK, on_chunk=on_chunk)
-    interrupted = join_runs(first, parts[:stop_after])
-    assert len(interrupted.times) == 1 + stop_after * CHUNK
-    storage.save(tmp_path / "run.h5", scene, interrupted, method=METHOD, control=CONTROL)
-    rest = storage.load(tmp_path / "run.h5").resume(END, chunk=CHUNK)
-    assert_same_motion(continued(interrupted, rest), whole)
-
-
-def assert_same_motion(a, b):
-    """Equal states, reports and memory, bit for bit."""
-    pick = lambda run: (run.states, run.infos, run.control)
-    assert_identical(pick(a), pick(b))
-
-
-@pytest.mark.slow
-def test_run_stopped_anywhere_goes_on_bit_for_bit(example, tmp_path):
-    """A stop that is not at a multiple of the chunk: boundaries of chunks do not matter."""
-    scene, whole = example
-    stopped = adaptive_rollout(scene, start(scene), END, METHOD, CONTROL, max_steps=5, throw=False)
-    assert int(stopped.result) == Result.MAX_STEPS
-    storage.save(tmp_path / "run.h5", scene, stopped, method=METHOD, control=CONTROL)
-    rest = storage.load(tmp_path / "run.h5").resume(END, chunk=CHUNK)
-    assert_same_motion(continued(stopped, rest), whole)
-
-
-# the constraint begins at 0.4 and the drive has a corner at 1.0; the last is within a step
-STOPS = [(0.4,), (0.1, 0.25), (0.39, 0.41, 0.9), (0.2, 0.2000001)]
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("stops", STOPS, ids=str)
-def test_a_resumed_run_does_not_depend_on_where_it_was_cut(example, tmp_path, stops):
-    """Steps shortened to end on an end time are made anew by what goes on from there."""
-    scene, _ = example
-    # a bound of the step that does not depend on the span of the first run
-    control = StepControl(absolute=1e-4, max_step=0.05)
-    whole = adaptive_rollout(scene, start(scene), END, METHOD, control, chunk=CHUNK)
-    run = adaptive_rollout(scene, start(scene), stops[0], METHOD, control, chunk=CHUNK)
-    for stop in (*stops[1:], END):
-        assert float(run.times[-1]) in stops
-        storage.save(tmp_path / "run.h5", scene, run, method=METHOD, control=control)
-        rest = storage.load(tmp_path / "run.h5").resume(stop, chunk=CHUNK)
-        assert float(rest.times[-1]) == stop
-        run = continued(run, rest)
-    assert_same_motion(run, whole)
-
-
 def test_runs_that_overlap_are_not_joined(example):
     scene, whole = example
     with pytest.raises(ValueError, match=r"parts: .*continued\(run, rest\)"):
@@ -355,21 +278,3 @@ def test_runs_that_overlap_are_not_joined(example):
     shifted = eqx.tree_at(lambda run: run.states.position, whole, whole.states.position + 1e-12)
     with pytest.raises(ValueError, match="rest: it does not begin from a state of run"):
         continued(whole, shifted)
-
-
-@pytest.mark.slow
-def test_schedule_goes_on_where_it_stopped(example, tmp_path):
-    scene, _ = example
-    schedule = jnp.linspace(0.0, 0.3, 13)[1:]
-    first = start(scene)
-    halves = [rollout(scene, first, schedule[:6], METHOD)]
-    path = tmp_path / "run.h5"
-    storage.save(path, scene, halves[0], method=METHOD, schedule=schedule)
-    halves.append(storage.load(path).resume())
-    # the same compiled program for either half: to be compared bit for bit
-    expected = rollout(scene, halves[0].final, schedule[6:], METHOD)
-    assert_identical(halves[1], expected)
-    assert float(halves[1].times[-1]) == float(schedule[-1])
-    storage.save(path, scene, expected, method=METHOD, schedule=schedule[6:])
-    with pytest.raises(ValueError, match="end_time"):
-        storage.load(path).resume()
