@@ -82,15 +82,15 @@ def test_deviations_do_not_depend_on_the_transform():
 
 
 def test_covariance_against_repeated_fits():
-    """Scatter of fits to 150 data sets: 12 % is two deviations of it."""
-    data = [noisy(seed, stated=0.02) for seed in range(150)]
+    """Scatter of fits to 60 data sets: 18 % is two deviations of it."""
+    data = [noisy(seed, stated=0.02) for seed in range(60)]
     fits = [least_squares(decay, TRUTH, one, bounds=BOUNDS) for one in data]
     scatter = np.cov(np.array([numbers(f.parameters) for f in fits]).T)
     mean = np.mean([f.covariance for f in fits], 0)
-    assert relative(np.sqrt(np.diag(scatter)), np.sqrt(np.diag(mean))) < 0.12
+    assert relative(np.sqrt(np.diag(scatter)), np.sqrt(np.diag(mean))) < 0.18
     correlation = lambda c: c[0, 1] / np.sqrt(c[0, 0] * c[1, 1])
-    assert correlation(scatter) == pytest.approx(correlation(mean), abs=0.1)
-    assert np.mean([f.reduced for f in fits]) == pytest.approx(1, abs=0.06)
+    assert correlation(scatter) == pytest.approx(correlation(mean), abs=0.16)
+    assert np.mean([f.reduced for f in fits]) == pytest.approx(1, abs=0.1)
 
 
 def test_as_many_data_as_unknowns():

@@ -1,5 +1,8 @@
 """Derivatives through a short rollout, in both modes, against central differences."""
 
+import dataclasses
+import functools
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -10,11 +13,13 @@ from helpers import slow
 from rodjax.constraints.ends import Clamped, Slider, Turn
 from rodjax.dynamics.consistency import start
 from rodjax.dynamics.fixed_rollout import rollout
+from rodjax.dynamics.stepping import prepare
 from rodjax.equations.generalized_alpha import GeneralizedAlpha
 from rodjax.inputs.schedules import Smooth
 from rodjax.interactions.loads import LinearDrag, MorisonDrag
 from rodjax.rods.builders import straight_rod
 from rodjax.rods.section import Section
+from rodjax.scenes.placing import placing
 from rodjax.scenes.scene import Scene
 
 ELEMENTS, STEPS = 12, 10
@@ -53,7 +58,16 @@ RESTING = eqx.tree_at(
 )
 
 
-def loss(inputs):
+def moving(scene, velocity):
+    """The rod as placed, without the accelerations and forces that `start` finds.
+
+    Their program is as large as that of the steps.
+    """
+    rate = jnp.concatenate([velocity, jnp.zeros_like(velocity)], 1)
+    return prepare(scene, dataclasses.replace(placing(scene), rate=rate))
+
+
+def loss(inputs, begin=start):
     """A smooth functional of every part of the last state; all else follows from the inputs."""
     section = Section(
         stiffness=tuple(inputs.stiffness),
@@ -71,7 +85,7 @@ def loss(inputs):
     scene = Scene(rod, first, Slider((0.0, 0.0, 1.0)), loads)
     s = rod.arc_length
     bump = (jnp.sin(jnp.pi * s) ** 2)[:, None] * jnp.concatenate([inputs.velocity, rest[:1]])[None]
-    state = start(scene, velocity=bump)
+    state = begin(scene, velocity=bump)
     method = GeneralizedAlpha(inputs.spectral_radius, tolerance=1e-13)
     times = 0.02 * jnp.arange(1.0, STEPS + 1)
     run = rollout(scene, state, times, method, save_every=5, throw=False)
@@ -85,18 +99,12 @@ def loss(inputs):
     )
 
 
-gradient = jax.jit(jax.grad(loss))
-ahead = jax.jit(lambda inputs, step: jax.jvp(loss, (inputs,), (step,)))
-
-
-def slope(inputs, step):
-    """In forward mode."""
-    return ahead(inputs, step)[1]
-
-
-def value(inputs):
-    """By the same program, which is compiled once for both."""
-    return ahead(inputs, inputs)[0]
+@functools.cache
+def gradient_and_slope(begin=start):
+    """In reverse mode, and value and slope in forward mode: two programs."""
+    of = functools.partial(loss, begin=begin)
+    ahead = jax.jit(lambda inputs, step: jax.jvp(of, (inputs,), (step,)))
+    return jax.jit(jax.grad(of)), ahead
 
 
 def one_at_a_time(inputs, name, seed=0):
@@ -125,25 +133,31 @@ def central_difference(function, inputs, step, width):
 @pytest.mark.parametrize("name", list(map(slow, sorted(Inputs.__dataclass_fields__))))
 def test_reverse_and_forward_against_differences(name):
     step = one_at_a_time(MOVING, name)
-    expected = float(central_difference(value, MOVING, step, 2e-3))
+    gradient, ahead = gradient_and_slope()
+    expected = float(central_difference(lambda x: ahead(x, step)[0], MOVING, step, 2e-3))
     assert abs(expected) > 1e-5
     assert inner(gradient(MOVING), step) == pytest.approx(expected, rel=1e-6)
-    assert float(slope(MOVING, step)) == pytest.approx(expected, rel=1e-6)
+    assert float(ahead(MOVING, step)[1]) == pytest.approx(expected, rel=1e-6)
 
 
-def test_derivatives_at_the_straight_motionless_rod():
+@pytest.mark.parametrize("begin", [moving, slow(start)])
+def test_derivatives_at_the_straight_motionless_rod(begin):
+    gradient, ahead = gradient_and_slope(begin)
     found = gradient(RESTING)
     for leaf in jax.tree.leaves(found):
         assert np.all(np.isfinite(leaf))
     for name in ("natural_curvature", "shift", "turn", "velocity"):
         step = one_at_a_time(RESTING, name)
+        value = lambda inputs, step=step: ahead(inputs, step)[0]
         expected = float(central_difference(value, RESTING, step, 3e-4))
         assert inner(found, step) == pytest.approx(expected, rel=1e-5, abs=1e-8)
-        assert float(slope(RESTING, step)) == pytest.approx(inner(found, step), rel=1e-8, abs=1e-9)
+        slope = float(ahead(RESTING, step)[1])
+        assert slope == pytest.approx(inner(found, step), rel=1e-8, abs=1e-9)
 
 
 @pytest.mark.slow
 def test_gradient_and_vmap_in_both_orders():
+    gradient, _ = gradient_and_slope()
     several = jax.tree.map(lambda a, b: jnp.stack([a, 0.5 * (a + b), b]), MOVING, RESTING)
     mapped = jax.jit(jax.vmap(jax.grad(loss)))(several)
     total = jax.jit(jax.grad(lambda many: jnp.sum(jax.vmap(loss)(many))))(several)
@@ -157,6 +171,7 @@ def test_gradient_and_vmap_in_both_orders():
 
 @pytest.mark.slow
 def test_hessian_vector_product():
+    gradient, _ = gradient_and_slope()
     step = jax.tree.map(
         lambda a, b: a + b, one_at_a_time(MOVING, "stiffness"), one_at_a_time(MOVING, "shift")
     )
