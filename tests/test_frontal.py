@@ -10,6 +10,7 @@ from rodjax.numerics.front_order import FrontSize, arrange
 from rodjax.numerics.frontal import Distant, Stencils, factorize
 
 NODES = 30
+ROWS = 180  # of distant blocks, more than any of the patterns has: one program serves them all
 SIZE = FrontSize(16, 6)
 
 
@@ -35,7 +36,8 @@ def system(pairs, dtype=float):
     blocks = rng.normal(size=(3, NODES, 9, 9))
     blocks[1] += 12 * np.eye(9)
     own = np.stack([np.arange(NODES)] * 2, 1)
-    unused = np.full((4, 2), NODES)
+    unused = np.full((ROWS - len(pairs) - NODES, 2), NODES)
+    assert len(unused) > 3
     row, column = np.concatenate([pairs, own, unused]).T
     distant = rng.normal(size=(len(row), 3, 3))
     dense = np.zeros((NODES, 9, NODES, 9))

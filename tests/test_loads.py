@@ -100,16 +100,20 @@ def test_morison_drag_is_smooth_at_rest():
     load = MorisonDrag(1.3, 0.9, 0.07)
     still = motion_of(3, 0.0)
     force = lambda v: load.wrench(ROD, still._replace(velocity=v))
-    zero = jnp.zeros((ELEMENTS + 1, 3))
-    np.testing.assert_array_equal(force(zero), 0.0)
-    for derivative in (jax.jacfwd(force)(zero), jax.jacrev(force)(zero)):
-        np.testing.assert_array_equal(derivative, 0.0)  # quadratic: no slope at rest
     power = lambda v: jnp.sum(force(v) ** 2)
-    assert np.all(np.isfinite(jax.jacfwd(jax.grad(power))(zero)))
+
+    @jax.jit
+    def derivatives(v):
+        return force(v), jax.jacfwd(force)(v), jax.jacrev(force)(v), jax.jacfwd(jax.grad(power))(v)
+
+    *quadratic, curved = derivatives(jnp.zeros((ELEMENTS + 1, 3)))
+    for found in quadratic:
+        np.testing.assert_array_equal(found, 0.0)  # no slope at rest
+    assert np.all(np.isfinite(curved))
     # motion along the tangent alone: the normal part is at its zero, the tangential one is not
     along = rotations.tangent_director(still.quaternion)
     step = random_arrays(4, (ELEMENTS + 1, 3))[0]
-    slope = jax.jvp(force, (along,), (step,))[1]
+    slope = jax.jit(lambda v, step: jax.jvp(force, (v,), (step,))[1])(along, step)
     width = 1e-7
     expected = (force(along + width * step) - force(along - width * step)) / (2 * width)
     np.testing.assert_allclose(slope, expected, atol=1e-7)
@@ -155,9 +159,10 @@ def test_point_load_dead_and_follower(node):
 
 def test_node_of_a_point_load_may_be_traced():
     """From either end; NaN at a number that the rod lacks, where it cannot be refused."""
-    at = lambda node: PointLoad(node, Constant(UP)).wrench(ROD, motion_of(7))
+    motion = motion_of(7)
+    at = lambda node: PointLoad(node, Constant(UP)).wrench(ROD, motion)
     numbers = jnp.arange(-ELEMENTS - 2, ELEMENTS + 2)
-    found = np.asarray(jax.vmap(at)(numbers))
+    found = np.asarray(jax.jit(jax.vmap(at))(numbers))
     for number, wrench in zip(np.asarray(numbers), found, strict=True):
         if not -ELEMENTS - 1 <= number <= ELEMENTS:
             assert np.all(np.isnan(wrench))
@@ -250,13 +255,13 @@ def moved(motion, z):
 def test_each_wrench_depends_on_its_own_node_only(load):
     motion = motion_of(11)
     wrench = lambda z: load.wrench(ROD, moved(motion, z))
-    full = jax.jit(jax.jacfwd(wrench))(jnp.zeros((ELEMENTS + 1, 12)))
+    # so that one pass of six directions gives the derivative by positions and spins
+    first = lambda z: wrench(jnp.concatenate([z, jnp.zeros_like(z)], 1))
+    both = jax.jit(lambda z: (jax.jacfwd(wrench)(z), node_jacobian(first, z[:, :6])))
+    full, blocks = both(jnp.zeros((ELEMENTS + 1, 12)))
     for i in range(ELEMENTS + 1):
         others = np.delete(np.arange(ELEMENTS + 1), i)
         np.testing.assert_array_equal(np.asarray(full)[i][:, others], 0.0)
-    # so that one pass of six directions gives the derivative by positions and spins
-    first = lambda z: wrench(jnp.concatenate([z, jnp.zeros_like(z)], 1))
-    blocks = node_jacobian(first, jnp.zeros((ELEMENTS + 1, 6)))
     own = np.stack([np.asarray(full)[i, :, i, :6] for i in range(ELEMENTS + 1)])
     np.testing.assert_allclose(blocks, own, atol=1e-14)
 
