@@ -105,14 +105,15 @@ def test_all_pairs_of_two_rods_are_listed(seed, near):
     points = vertices[:-1, None] + part[:, None] * (vertices[1:, None] - vertices[:-1, None])
     expected = set()
     idle, rod_of = SCENE.contact.idle, np.cumsum(SCENE.contact.idle)
-    for a in np.flatnonzero(~idle):
-        for b in np.flatnonzero(~idle):
+    cutoff, excluded = float(CONTACT.cutoff), float(CONTACT.excluded)
+    busy = np.flatnonzero(~idle)
+    for i, a in enumerate(busy):
+        for b in busy[i + 1 :]:
             apart = np.linalg.norm(points[a][:, None] - points[b][None], axis=-1)
             along = np.abs(s[a][:, None] - s[b][None])
             if rod_of[a] == rod_of[b] == 1:
                 along = np.minimum(along, 0.5 - along)
-            acts = (apart < float(CONTACT.cutoff)) & (along >= float(CONTACT.excluded))
-            if a < b and np.any(acts):
+            if np.any((apart < cutoff) & (along >= excluded)):
                 expected.add((a, b))
     assert expected <= listed(found)
 

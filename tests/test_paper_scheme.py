@@ -24,6 +24,7 @@ from rodjax.reference.paper_scheme import PaperScheme, fields_of, paper_rollout,
 from rodjax.reference.paper_solvers import BlockSolve, Shooting
 from rodjax.rods.builders import straight_rod
 from rodjax.rods.section import Section, circular_section
+from rodjax.scenes.placing import placing
 from rodjax.scenes.scene import Scene
 
 DRAG = MorisonDrag(1.0, 2.0, 0.5)
@@ -219,7 +220,7 @@ def replaced(**changes):
 def test_what_is_not_supported_is_refused(make, message):
     scene = make()
     with pytest.raises(ValueError, match=message):
-        paper_rollout(scene, start(driven(4)), jnp.asarray([0.1]))
+        paper_rollout(scene, placing(scene), jnp.asarray([0.1]))
 
 
 def test_settings_are_checked():
