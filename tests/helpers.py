@@ -12,7 +12,6 @@ from jax import lax
 
 from rodjax import rotations
 from rodjax.constraints.ends import Clamped, Slider, Switched, Turn
-from rodjax.dynamics.consistency import start
 from rodjax.dynamics.run import Run
 from rodjax.dynamics.stepping import no_info, prepare, step
 from rodjax.equations.generalized_alpha import GeneralizedAlpha
@@ -164,7 +163,7 @@ def moving_hairpin(elements: int):
     """Hairpin scene, a moving state of it, and the points near each other."""
     contact = Contact(LAWS["damped"], segments=20, cutoff=0.1, points_per_segment=2)
     scene = Scene(hairpin(elements), Clamped(), Clamped(), (), contact)
-    state = start(scene)
+    state = prepare(scene, placing(scene))
     velocity = 0.1 * np.random.default_rng(0).normal(size=state.position.shape)
     state = dataclasses.replace(state, rate=state.rate.at[:, :3].set(velocity))
     return scene, state, scene.find_contact(state.position, 1e-3 * state.velocity)
