@@ -20,11 +20,16 @@ SECTION = rx.Section(
     stiffness=(1.0, 1.3, 0.7), mass=1.0, rotary_inertia=(1e-3, 1e-3, 2e-3), diameter=0.02
 )
 ENDS = rx.Point(-1), rx.Point(0, rod=1)
+DRIVE = rx.Smooth([0.0, 1.0], [0.0, 0.4])
 KINDS = {
     "weld": rx.Weld(*ENDS),
     "ball": rx.Ball(*ENDS),
     "hinge": rx.Hinge(*ENDS, axis=(0.3, 1.0, 0.2)),
     "slide": rx.Slide(*ENDS, axis=(0.0, 0.6, 0.8)),
+    "motor": rx.Hinge(*ENDS, axis=(0.3, 1.0, 0.2), angle=rx.Smooth([0.0, 1.0], [0.0, 0.4])),
+    "actuator": rx.Slide(
+        *ENDS, axis=(0.0, 0.6, 0.8), displacement=rx.Smooth([0.0, 1.0], [0.0, 0.4])
+    ),
     "offset": rx.Hinge(
         rx.Point(-1, offset=(0.1, 0.0, 0.2)),
         rx.Point(0, rod=1, offset=(0.1, 0.0, 0.2)),

@@ -6,6 +6,9 @@ it from the first. With t the vector from the first point to the second (inertia
 first frame in a `Slide`) and r the rotation of the second frame from where it was placed (axes of
 the first), a joint holds P (t, r) = 0, P its projector. It exerts a force and a moment, P of six
 multipliers, on the first point and the opposite on the second; they do no work.
+
+A `Hinge` and a `Slide` may be driven along what they leave free, by a schedule: then they hold that
+direction too, where the schedule has it, and what they exert there does the drive's work.
 """
 
 import abc
@@ -15,6 +18,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from rodjax.constraints.ends import check_axis, unit_vector
+from rodjax.inputs.schedules import AbstractSchedule, check_schedule
 from rodjax.inputs.validation import (
     as_float,
     check_instance,
@@ -93,6 +97,15 @@ class AbstractJoint(eqx.Module):
         """Whether its kind makes one piece of what it joins."""
         return False
 
+    @property
+    def schedules(self) -> dict[str, AbstractSchedule]:
+        """What drives it, by argument."""
+        return {}
+
+    def driven(self) -> Float[Array, "6"] | None:
+        """The direction (t, r) along which its schedule drives the second point; None: none."""
+        return None
+
     def translation(self, first: Frame, second: Frame) -> Float[Array, "3"]:
         """t [m]."""
         return self.second.at(second) - self.first.at(first)
@@ -101,18 +114,25 @@ class AbstractJoint(eqx.Module):
         """r, zero where the second frame is `placed` against the first [rad, to first order]."""
         return _turn(first, second, placed)
 
-    def gap(self, first: Frame, second: Frame, placed: Float[Array, "4"]) -> Float[Array, "6"]:
-        """(t, r)."""
+    def gap(
+        self, first: Frame, second: Frame, placed: Float[Array, "4"], time: Float[Array, ""]
+    ) -> Float[Array, "6"]:
+        """(t, r), from where its schedule has it at the time."""
         both = self.translation(first, second), self.rotation(first, second, placed)
         return jnp.concatenate(both)
 
 
 def _turn(first: Frame, second: Frame, placed) -> Float[Array, "3"]:
     """Twice the vector part of the rotation since the placing, in axes of the first frame."""
+    return 2 * _since(first, second, placed)[1:]
+
+
+def _since(first: Frame, second: Frame, placed) -> Float[Array, "4"]:
+    """That rotation, by at most half a turn."""
     now = rotations.multiply(rotations.conjugate(first[1]), second[1])
     turned = rotations.multiply(now, rotations.conjugate(placed))
     # q and -q are one rotation
-    return 2 * jnp.where(turned[0] < 0, -1.0, 1.0) * turned[1:]
+    return jnp.where(turned[0] < 0, -1.0, 1.0) * turned
 
 
 def _check_points(first: Point, second: Point) -> None:
@@ -180,6 +200,10 @@ class Hinge(AbstractJoint):
     Attributes:
         first, second: the points, of rods or bodies.
         axis: in the first point's body frame, of any length.
+        angle: schedule by which the second frame turns about the axis against the first,
+            right-handed from where the rods are placed [rad]: a motor, of any number of turns;
+            None: it turns freely. Of a ring that it closes, about the tangent, it drives the
+            linking number.
 
     Example:
         >>> other = rx.straight_rod(0.5, 10, section, direction=(1, 0, 0), origin=(1, 0, 0))
@@ -191,13 +215,38 @@ class Hinge(AbstractJoint):
     first: Point
     second: Point
     axis: Float[Array, "3"] = eqx.field(converter=unit_vector)
+    angle: AbstractSchedule | None = None
 
     def __check_init__(self):
         _check_points(self.first, self.second)
         check_axis(self.axis)
+        mend = "give a schedule of one number, such as Smooth([0.0, 1.0], [0.0, 6.28])"
+        check_schedule((), mend, **self.schedules)
+
+    @property
+    def schedules(self):
+        return given(angle=self.angle)
+
+    @property
+    def rejoins(self):
+        return self.angle is not None
 
     def projector(self):
+        if self.angle is not None:
+            return jnp.eye(6)
         return jnp.eye(6).at[3:, 3:].add(-jnp.outer(self.axis, self.axis))
+
+    def driven(self):
+        return None if self.angle is None else jnp.concatenate([0 * self.axis, self.axis])
+
+    def gap(self, first, second, placed, time):
+        if self.angle is None:
+            return super().gap(first, second, placed, time)
+        turn = (self.angle(time) * self.axis).astype(placed.dtype)
+        wanted = rotations.multiply(rotations.exponential(turn), placed)
+        # linear in what it turns by, so that Newton's method leaves nothing of a step's turn
+        turn = rotations.logarithm(_since(first, second, wanted))
+        return jnp.concatenate([self.translation(first, second), turn])
 
     def rotation(self, first, second, placed):
         """axis x (the second's axis), which is zero however far it has turned about it."""
@@ -213,6 +262,8 @@ class Slide(AbstractJoint):
     Attributes:
         first, second: the points, of rods or bodies.
         axis: in the first point's body frame, of any length.
+        displacement: schedule of the way along the axis from the first point to the second [m]: an
+            actuator. None: it slides freely.
 
     Example:
         >>> other = rx.straight_rod(0.5, 10, section, direction=(1, 0, 0), origin=(1, 0, 0))
@@ -224,13 +275,31 @@ class Slide(AbstractJoint):
     first: Point
     second: Point
     axis: Float[Array, "3"] = eqx.field(converter=unit_vector)
+    displacement: AbstractSchedule | None = None
 
     def __check_init__(self):
         _check_points(self.first, self.second)
         check_axis(self.axis)
+        mend = "give a schedule of one number, such as Smooth([0.0, 1.0], [0.0, 0.1])"
+        check_schedule((), mend, **self.schedules)
+
+    @property
+    def schedules(self):
+        return given(displacement=self.displacement)
 
     def projector(self):
+        if self.displacement is not None:
+            return jnp.eye(6)
         return jnp.eye(6).at[:3, :3].add(-jnp.outer(self.axis, self.axis))
+
+    def driven(self):
+        return None if self.displacement is None else jnp.concatenate([self.axis, 0 * self.axis])
+
+    def gap(self, first, second, placed, time):
+        found = super().gap(first, second, placed, time)
+        if self.displacement is None:
+            return found
+        return found.at[:3].add(-(self.displacement(time) * self.axis).astype(found.dtype))
 
     def translation(self, first, second):
         return rotations.rotate_inverse(first[1], super().translation(first, second))

@@ -34,6 +34,7 @@ from rodjax.numerics import results
 from rodjax.numerics.compilation import compiled
 from rodjax.numerics.results import Result
 from rodjax.rods.strains import wound
+from rodjax.scenes import drives
 from rodjax.scenes.holds import rows_at
 
 # Increments that are made at most, and how many may fail to shrink.
@@ -197,14 +198,15 @@ def cosine(family: Family, parameter: Parameter, place: Place, one: Tangent, oth
 
 
 def driven_far(family: Family, place: Place, before: Array, after: Array) -> Bool[Array, ""]:
-    """Whether an end is turned further than can be told from fewer turns."""
+    """Whether an end or a joint is turned further than can be told from fewer turns."""
 
     def turns(p):
         scene, time = family.at(p)
         frames = rows_at(place.quaternion, scene.held_nodes)
         begun = family.origin.time
         both = zip(scene.holds, frames, strict=True)
-        return jnp.stack([ends.increments(one.end, begun, time, frame)[3:] for one, frame in both])
+        found = [ends.increments(one.end, begun, time, frame)[3:] for one, frame in both]
+        return jnp.stack([*found, *drives.turns_of_joints(scene, time, place.quaternion.dtype)])
 
     change = turns(after) - turns(before)
     return jnp.max(jnp.sum(change**2, 1)) > _TURN**2

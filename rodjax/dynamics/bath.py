@@ -135,7 +135,7 @@ def _check_joints(scene: Scene) -> None:
     for index, joint in enumerate(scene.joints):
         offsets = [joint.first.offset, joint.second.offset]
         apart = all_known(*offsets) and any(np.any(np.asarray(one) != 0) for one in offsets)
-        if not joint.rejoins or apart:
+        if not joint.rejoins or joint.schedules or apart:
             raise ValueError(
                 f"joints[{index}]: rods in a heat bath are joined by Weld between nodes without"
                 " offsets (a ring, a body on a node); other joints would bias the distribution and"

@@ -2,8 +2,9 @@
 
 For a joint with the gap g = (t, r) of two nodes and multipliers p the balances of its nodes get
 G^T P p, with G the derivative of g by displacements and body spins of both, and the rows
-P g - (1 - P) p = 0 determine p. The second derivative of p . P g stands in the tangent: within one
-node in its own block, between the two in more rows and columns of the border,
+P g - (1 - P) p = 0 determine p; of a driven joint g is counted from where its schedule has it. The
+second derivative of p . P g stands in the tangent: within one node in its own block, between the
+two in more rows and columns of the border,
 
     [K_ab y]  with  y = x_b,        [K_ba z]  with  z = x_a,
 
@@ -21,7 +22,7 @@ from jaxtyping import Array, Float
 from rodjax.equations.assembly import Scales
 from rodjax.equations.border import Border
 from rodjax.numerics import rotations
-from rodjax.rods.state import NodeMotion
+from rodjax.rods.state import NodeMotion, State
 from rodjax.scenes.holds import Node, impose
 from rodjax.scenes.scene import Scene
 
@@ -60,7 +61,7 @@ class _At(NamedTuple):
 
 
 def _held(scene: Scene, motion: NodeMotion) -> list[tuple[Callable, _At]]:
-    """P g of every joint, as a function of its nodes, and where these are."""
+    """P g of every joint, as a function of its nodes and of how much later, and where these are."""
     found = []
     for joint, nodes in zip(scene.joints, nodes_of(scene), strict=True):
         index = jnp.asarray(nodes)
@@ -68,9 +69,9 @@ def _held(scene: Scene, motion: NodeMotion) -> list[tuple[Callable, _At]]:
         placed = rotations.multiply(rotations.conjugate(first), second)
         projector = joint.projector().astype(placed.dtype)
 
-        def held(at, *, joint=joint, placed=placed, projector=projector):
+        def held(at, later=0.0, *, joint=joint, placed=placed, projector=projector):
             first, second = zip(*at, strict=True)
-            return projector @ joint.gap(first, second, placed)
+            return projector @ joint.gap(first, second, placed, motion.time + later)
 
         found.append((held, _At(motion.position[index], motion.quaternion[index])))
     return found
@@ -142,7 +143,7 @@ def rates_of_gaps(
 
         def along(t, *, held=held, at=at, v=v, a=a, bent=bent):
             z = v * t + 0.5 * a * t**2
-            return held(at.after(z.at[:, 3:].add(bent * t**3)))
+            return held(at.after(z.at[:, 3:].add(bent * t**3)), t)
 
         of_order = functools.reduce(lambda f, _: _rate_of(f), range(order), along)
         found.append(of_order(jnp.zeros((), rate.dtype)))
@@ -224,3 +225,19 @@ def spread(values: Float[Array, "j 6"]) -> Float[Array, "j 9"]:
 def gathered(rows: Float[Array, "j 9"]) -> Float[Array, "j 6"]:
     """The reverse."""
     return jnp.concatenate([rows[:, :3], rows[:, 6:]], 1)
+
+
+def driving(scene: Scene, state: State) -> list[tuple[Float[Array, "1"], Float[Array, "1"]]]:
+    """What driven joints exert along their drives, on the second point, and their coordinates."""
+    if state.joints is None:
+        return []
+    found = []
+    for joint, multipliers in zip(scene.joints, state.joints, strict=True):
+        along = joint.driven()
+        if along is None:
+            continue
+        (schedule,) = joint.schedules.values()
+        # the opposite acts on the first point
+        force = -jnp.sum(along.astype(multipliers.dtype) * multipliers)
+        found.append((force[None], schedule(state.time).astype(force.dtype)[None]))
+    return found

@@ -11,6 +11,7 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Bool, Float
 
+from rodjax.equations import joint_terms
 from rodjax.equations.imbalance import static_imbalance
 from rodjax.inputs.validation import known
 from rodjax.interactions.load import total_wrench
@@ -21,6 +22,9 @@ from rodjax.rods.state import State, at_rest, moved
 from rodjax.rods.strains import strains
 from rodjax.scenes.holds import rows_at
 from rodjax.scenes.scene import Scene, projectors
+
+# How far a driven joint may be off its schedule at a start, in lengths of the rods and radians.
+_OFF_ITS_SCHEDULE = 1e-5
 
 
 def _all_known(*trees) -> bool:
@@ -120,6 +124,24 @@ def _straightest(scene: Scene, state: State) -> tuple[str, Float[np.ndarray, "3"
     i = int(np.argmin(np.asarray(spare) / [np.sum(lengths[part.elements]) for part in parts]))
     name = f"rods[{i}]" if scene.rod.breaks else "the rod"
     return name, chords[i] / sizes[i]
+
+
+def check_driven_joints(scene: Scene, state: State) -> None:
+    """Raise ValueError where a joint's schedule has its points elsewhere than the state has."""
+    for i, joint in enumerate(scene.joints):
+        along = joint.driven()
+        if along is None or not _all_known(joint, state, scene.rod):
+            continue
+        motion = at_rest(state.time, state.position, state.quaternion)
+        gap = np.asarray(joint_terms.gaps(scene, motion)[i], float)
+        off = np.abs(gap / np.repeat([float(jnp.sum(scene.rod.length)), 1.0], 3))
+        if np.max(off) > _OFF_ITS_SCHEDULE:
+            (name, schedule), time = *joint.schedules.items(), float(state.time)
+            raise ValueError(
+                f"joints[{i}].{name}: its schedule says {float(schedule(state.time)):.3g} at"
+                f" t = {time:.3g}, where the state has another; give a schedule that is 0 where"
+                " the rods are as they are placed"
+            )
 
 
 def check_spin(scene: Scene, state: State) -> None:

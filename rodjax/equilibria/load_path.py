@@ -18,7 +18,7 @@ from rodjax.equations.imbalance import lacking
 from rodjax.equations.overlap import check_apart, overcome
 from rodjax.equations.rigid_motions import check_held
 from rodjax.equations.schemes import rest_on_path
-from rodjax.equations.start_checks import check_held_once
+from rodjax.equations.start_checks import check_driven_joints, check_held_once
 from rodjax.equilibria.path_following import (
     ACCEPT,
     LEAVE,
@@ -152,6 +152,7 @@ def equilibrium(
     _check_path(scene, state, stop)
     hold = check_held(scene, state, stop, spin_free=True)
     check_held_once(scene, state)
+    check_driven_joints(scene, state)
     check_apart(scene, state)
     as_array = lambda value: jnp.asarray(value, dtype)
     new, info = _equilibrium(

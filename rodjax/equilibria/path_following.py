@@ -155,13 +155,13 @@ def follow(
         )
         opening = path.unstable == _UNKNOWN
         step, driven = path.step, jnp.asarray(False)
-        if any(held.end.rotation is not None for held in scene.holds):
+        if drives.turning(scene):
             now, frames = when(path.reached), path.reference[1]
             far = lambda step: drives.too_fast(scene, now, when(whole(step)), frames, _TURN)
             halving = lambda step: far(step) & (step > smallest)
             step = lax.while_loop(halving, lambda step: 0.5 * step, step)
             driven = far(step)
-            assert driven is not None  # an end turns
+            assert driven is not None  # something turns
         pick = lambda a, b: jax.tree.map(lambda a, b: jnp.where(descent.active, a, b), a, b)
         target = jnp.where(opening, path.reached, pick(descent.target, whole(step)))
         behind = equations(path.reached, path.reference, path.memory)

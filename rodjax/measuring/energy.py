@@ -19,6 +19,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from rodjax.dynamics.run import Run
+from rodjax.equations import joint_terms
 from rodjax.inputs.validation import all_known
 from rodjax.interactions.roles import Role
 from rodjax.measuring.blocks import scan_states
@@ -73,7 +74,7 @@ class Ledger(NamedTuple):
 
     Attributes:
         time: [s]; all that follows [J].
-        drive_work: done by the prescribed motion of ends, supports and obstacles.
+        drive_work: done by the prescribed motion of ends, supports, joints and obstacles.
         load_work: done by loads whose role is DRIVEN (`Role`).
         bending, torsion: stored by Eq. (4), in A1 and A2, and in C.
         axial: stored in stretch and shear.
@@ -205,6 +206,7 @@ def _acting(scene: Scene, state: State) -> tuple[_Acting, Found]:
             book(lost, column, one.lost(scene.rod, motion, its, exerted))
         elif one.role is Role.DAMPING:
             book(lost, Role.DAMPING, exerted)
+    driving += joint_terms.driving(scene, state)
     whole = _Acting(
         unbalanced(scene, state, tuple(acting)),
         by_role.get(Role.DRIVEN),

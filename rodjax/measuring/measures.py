@@ -24,6 +24,7 @@ from rodjax.rods.rod import Rod
 from rodjax.rods.state import State
 from rodjax.rods.strains import curvature, strains
 from rodjax.rods.winding import twist, writhe, writhe_of  # noqa: F401 (public here)
+from rodjax.scenes import drives
 from rodjax.scenes.scene import Scene
 
 
@@ -38,7 +39,8 @@ def turns(
     """Turns that a scene's drives of both ends applied from `start` to `time`, in the sense of Lk.
 
     The end s = 0 turned by -turns about its tangent, or the other by +turns about its own, counts
-    positive.
+    positive. Of a ring those of the joint count that closes it, and what turns its ends turns all
+    of it.
 
     Raises:
         ValueError: a drive does not turn about the tangent of its end in the rod's placing, so
@@ -52,6 +54,8 @@ def turns(
 @compiled
 def _turns(scene, time, start):
     total = jnp.zeros((), scene.rod.position.dtype)
+    if scene.welded(0):
+        return total + drives.turns_of_ring(scene, time) - drives.turns_of_ring(scene, start)
     for end, node, sign in zip(scene.ends, (0, -1), (-1, 1), strict=True):
         turn = end.rotation
         if turn is None:
@@ -68,6 +72,15 @@ def _check_counted(scene: Scene) -> None:
     The latter outside traced code only.
     """
     check_alone(scene.rod, "a number of turns")
+    for name, joint, _ in scene.closings(0):
+        along = joint.driven()
+        if along is not None and all_known(along) and np.any(np.abs(np.asarray(along)[:5]) > 1e-12):
+            raise ValueError(
+                f"{name}: turns are counted for a drive about the tangent only; give the axis"
+                " (0, 0, 1)"
+            )
+    if scene.welded(0):
+        return
     for name, node, end in scene.holds[:2]:
         if end.rotation is None or not all_known(end.rotation.axis, scene.rod.quaternion):
             continue

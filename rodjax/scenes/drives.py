@@ -1,4 +1,4 @@
-"""What the drives of ends and supports prescribe over a step, and whether a motion followed them.
+"""What drives prescribe over a step, and whether a motion followed them.
 
 A rotation is known modulo whole turns only: what an end turns in one step must stay below half a
 turn, else the step would find it turned by less, or not at all, and be none the wiser.
@@ -18,6 +18,9 @@ from rodjax.scenes.scene import Scene
 # Largest turn of an end in one step [rad]: half a turn less the rounding of its schedule.
 LARGEST_TURN = np.pi * (1 - 1e-6)
 
+# Sine of the angle between the axis of a joint and a tangent about which it turns.
+_ASKEW = 1e-6
+
 # How far an end may be off its schedule when a run has ended, in element lengths and radians.
 _ASTRAY = 1e-3
 
@@ -29,12 +32,13 @@ def too_fast(
     quaternion: Float[Array, "nodes 4"],
     largest: float = LARGEST_TURN,
 ) -> Bool[Array, ""] | None:
-    """Whether an end is to turn by `largest` or more from `start` to `stop`; None if none turns.
+    """Whether an end or joint is to turn by `largest` or more from `start` to `stop`.
 
-    `quaternion` are the frames at `start`. What a drive prescribes in directions that its end
-    leaves free does not count.
+    None if none turns. `quaternion` are the frames at `start`. What a drive prescribes in
+    directions that its end leaves free does not count.
     """
-    turns = []
+    both = (turns_of_joints(scene, time, quaternion.dtype) for time in (start, stop))
+    turns = [after - before for before, after in zip(*both, strict=True)]
     for _, node, end in scene.holds:
         if end.rotation is not None:
             turn = ends.increments(end, start, stop, quaternion[node])[3:]
@@ -42,6 +46,38 @@ def too_fast(
     if not turns:
         return None
     return jnp.any(jnp.sum(jnp.stack(turns) ** 2, 1) >= largest**2)
+
+
+def turns_of_joints(scene: Scene, time: Float[Array, ""], dtype) -> list[Float[Array, "3"]]:
+    """By what driven joints have turned at a time, about their axes [rad]."""
+    found = []
+    for joint in scene.joints:
+        along = joint.driven()
+        if along is not None:
+            (schedule,) = joint.schedules.values()
+            found.append((along[3:] * schedule(time)).astype(dtype))
+    return found
+
+
+def turns_of_ring(scene: Scene, time: Float[Array, ""]) -> Float[Array, ""]:
+    """Turns of Lk that driven joints have given the scene's first rod at a time, which they close.
+
+    Not a number where they turn it about another axis than its tangent.
+    """
+    total = jnp.zeros((), scene.rod.position.dtype)
+    for _, joint, sense in scene.closings(0):
+        along = joint.driven()
+        if along is not None:
+            (schedule,) = joint.schedules.values()
+            about = jnp.where(jnp.sum(along[:5] ** 2) < _ASKEW**2, along[5], jnp.nan)
+            total = total + (sense * about * schedule(time) / (2 * jnp.pi)).astype(total.dtype)
+    return total
+
+
+def turning(scene: Scene) -> bool:
+    """Whether a drive turns anything."""
+    ends = any(held.end.rotation is not None for held in scene.holds)
+    return ends or any(joint.schedules for joint in scene.joints)
 
 
 def astray(scene: Scene, states: State, allowed: float) -> bool:

@@ -329,10 +329,17 @@ class Scene(eqx.Module):
 
     def welded(self, index: int) -> bool:
         """Whether a joint holds the two ends of one of the rods together, frames and all."""
-        part = self.rod.parts[index]
-        both = {(part.first, part.last), (part.last, part.first)}
-        places = lambda joint: tuple(x.place(self.rod.parts) for x in (joint.first, joint.second))
-        return any(joint.rejoins and places(joint) in both for joint in self.joints)
+        return bool(self.closings(index))
+
+    def closings(self, index: int) -> list[tuple[str, AbstractJoint, int]]:
+        """The joints that do: name, joint, and 1 if its first point is at s = 0, else -1."""
+        part, found = self.rod.parts[index], []
+        sense = {(part.first, part.last): 1, (part.last, part.first): -1}
+        for i, joint in enumerate(self.joints):
+            places = tuple(x.place(self.rod.parts) for x in (joint.first, joint.second))
+            if joint.rejoins and places in sense:
+                found.append((f"joints[{i}]", joint, sense[places]))
+        return found
 
     @property
     def switch_times(self) -> tuple[Float[Array, ""], ...]:
@@ -352,6 +359,8 @@ class Scene(eqx.Module):
             found.append(("rod.actuation", self.rod.actuation))
         for i, load in enumerate(self.loads):
             found += [(f"loads[{i}].{part}", x) for part, x in load.schedules.items()]
+        for i, joint in enumerate(self.joints):
+            found += [(f"joints[{i}].{part}", x) for part, x in joint.schedules.items()]
         return found
 
     @property
