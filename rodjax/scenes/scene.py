@@ -336,7 +336,7 @@ class Scene(eqx.Module):
         part, found = self.rod.parts[index], []
         sense = {(part.first, part.last): 1, (part.last, part.first): -1}
         for i, joint in enumerate(self.joints):
-            places = tuple(x.place(self.rod.parts) for x in (joint.first, joint.second))
+            places = joint.first.place(self.rod.parts), joint.second.place(self.rod.parts)
             if joint.rejoins and places in sense:
                 found.append((f"joints[{i}]", joint, sense[places]))
         return found
