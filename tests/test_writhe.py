@@ -86,7 +86,7 @@ def test_planar_and_spherical_closed_curves():
     [(3, 1000), (4, 1000), (5, 1000), (8, 1000), (8, 1), (11, 1000), (11, 20)],
 )
 def test_pair_sum_against_arcsine_form(vertices, block_pairs, monkeypatch):
-    monkeypatch.setattr(topology, "_BLOCK_PAIRS", block_pairs)
+    monkeypatch.setattr(topology, "PAIRS", block_pairs)
     points = random_polygon(vertices, vertices)
     start, end = np.array([0.6, 0.0, 0.8]), np.array([0.0, -0.6, 0.8])
     extended = np.concatenate([points[:1] - 7 * start, points, points[-1:] + 7 * end])

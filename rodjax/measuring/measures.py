@@ -16,6 +16,7 @@ from rodjax.interactions.contact_report import ContactReport
 from rodjax.interactions.obstacles import ObstacleContact
 from rodjax.measuring import energy
 from rodjax.measuring.blocks import over_states
+from rodjax.measuring.mutual import mutual_linking  # noqa: F401 (public here)
 from rodjax.numerics import rotations
 from rodjax.numerics.compilation import compiled
 from rodjax.rods import balance, topology

@@ -16,9 +16,8 @@ from jaxtyping import Array, Float
 
 from rodjax.inputs.argument_types import AnyArray
 from rodjax.numerics import rotations
-
-_BLOCK_PAIRS = 1 << 15
-"""Segment pairs handled at once: 0.25 MB for each temporary in double precision."""
+from rodjax.rods.mutual_linking import mutual_linking  # noqa: F401 (public here)
+from rodjax.rods.solid_angles import PAIRS, difference, half_solid_angle, triple
 
 
 def writhe(
@@ -203,7 +202,7 @@ def _sum_over_pairs(
     starts, ends = lax.stop_gradient((starts, ends))
     segments = starts.shape[0]
     shifts = max(1, segments // 2)
-    blocks = -(-shifts // max(1, _BLOCK_PAIRS // segments))
+    blocks = -(-shifts // max(1, PAIRS // segments))
     block_size = -(-shifts // blocks)
     first = [*starts.T, *ends.T]  # x, y, z apart: contiguous vectors
     doubled = [jnp.concatenate([component, component]) for component in first]
@@ -218,10 +217,10 @@ def _sum_over_pairs(
             for component in doubled
         ]
         start_2, end_2 = second[:3], second[3:]
-        a, b = _difference(start_2, start_1), _difference(end_2, start_1)
-        c, d = _difference(end_2, end_1), _difference(start_2, end_1)
-        triple = _triple(a, _difference(end_2, start_2), _difference(end_1, start_1))
-        angles = _half_solid_angle(a, b, c, d, triple, triple)
+        a, b = difference(start_2, start_1), difference(end_2, start_1)
+        c, d = difference(end_2, end_1), difference(start_2, end_1)
+        volume = triple(a, difference(end_2, start_2), difference(end_1, start_1))
+        angles = half_solid_angle(a, b, c, d, volume, volume)
         angles = jnp.where((shift > 1)[:, None] | unshared, angles, 0.0)
         weight = jnp.where(2 * shift < segments, 1.0, jnp.where(2 * shift == segments, 0.5, 0.0))
         return total + jnp.sum(weight.astype(angles.dtype) * jnp.sum(angles, axis=1)), None
@@ -255,27 +254,8 @@ def _extension_angles(
     a, b, c, d, segment, direction = (
         tuple(jnp.concatenate(part).T) for part in zip(*parts, strict=True)
     )
-    triple = _triple(d, segment, direction)
-    return _half_solid_angle(a, b, c, d, inverse * triple, triple)
-
-
-def _half_solid_angle(a, b, c, d, triple_abc: Array, triple_acd: Array) -> Array:
-    """Half the signed solid angle of the spherical quadrilateral a, b, c, d (each x, y, z).
-
-    It is cut into the triangles abc and acd, tan(angle / 2) = triple product / denominator for
-    each, and their half angles are added as the arguments of complex numbers. The sum is below pi
-    in size, because the directions from one segment to another lie in a half space.
-    """
-    squares = [_dot(side, side) for side in (a, b, c, d)]
-    apart = (squares[0] > 0) & (squares[1] > 0) & (squares[2] > 0) & (squares[3] > 0)
-    norm_a, norm_b, norm_c, norm_d = (jnp.sqrt(jnp.where(apart, s, 1.0)) for s in squares)
-    dot_ac = _dot(a, c)
-    abc = norm_a * norm_b * norm_c + dot_ac * norm_b + _dot(a, b) * norm_c + _dot(b, c) * norm_a
-    acd = norm_a * norm_c * norm_d + dot_ac * norm_d + _dot(a, d) * norm_c + _dot(c, d) * norm_a
-    real = abc * acd - triple_abc * triple_acd
-    imaginary = triple_abc * acd + triple_acd * abc
-    regular = apart & ((real != 0) | (imaginary != 0))
-    return jnp.arctan2(jnp.where(regular, imaginary, 0.0), jnp.where(regular, real, 1.0))
+    volume = triple(d, segment, direction)
+    return half_solid_angle(a, b, c, d, inverse * volume, volume)
 
 
 @jax.custom_jvp
@@ -328,16 +308,3 @@ def _align(frames: Float[Array, "n 4"], directions: Float[Array, "n 3"]) -> Floa
     cosine = jnp.sum(axes * targets, axis=1, keepdims=True)
     smallest = jnp.concatenate([1 + cosine, jnp.cross(axes, targets)], axis=1)
     return rotations.multiply(rotations.normalize(smallest), frames)
-
-
-def _difference(u, v):
-    return [component_u - component_v for component_u, component_v in zip(u, v, strict=True)]
-
-
-def _dot(u, v) -> Array:
-    return u[0] * v[0] + u[1] * v[1] + u[2] * v[2]
-
-
-def _triple(u, v, w) -> Array:
-    cross = (v[1] * w[2] - v[2] * w[1], v[2] * w[0] - v[0] * w[2], v[0] * w[1] - v[1] * w[0])
-    return _dot(u, cross)
