@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from rodjax.equations.node_drag import excess_drag, node_drag
+from rodjax.equations.node_drag import excess_drag, node_drag, shared_drag
 from rodjax.inputs.validation import (
     all_known,
     as_float,
@@ -151,7 +151,12 @@ def _check_drag(scene: Scene) -> None:
         rate = rows * np.repeat([float(scene.rod.mean_length), 1.0], 3)
         rate = jnp.asarray(rate, motion.position.dtype)
         found = _probed(scene, motion, rate)
-        drag, excess, elsewhere = (np.asarray(one, float) for one in found)
+        drag, excess, elsewhere = (np.asarray(one, float) for one in found[:3])
+    if found[3] is not None and np.any(np.asarray(found[3]) != 0):
+        raise ValueError(
+            "loads: the drag of a node in a heat bath must be on its own motion, for noise to"
+            " belong to it; a load that acts between nodes must not resist velocities"
+        )
     least = np.linalg.eigvalsh(0.5 * (drag + np.swapaxes(drag, 1, 2)))[:, 0]
     bad = ~(least > 0)
     if np.any(bad):
@@ -196,4 +201,6 @@ def _probed(scene: Scene, motion: NodeMotion, rate: Float[Array, "nodes 6"]):
     reach = jnp.sum(scene.rod.length)
     ways = jnp.concatenate([jnp.eye(3), -jnp.eye(3)]).astype(reach.dtype)
     at = lambda way: node_drag(scene, motion._replace(position=motion.position + reach * way[None]))
-    return node_drag(scene, motion), excess_drag(scene, motion, rate), jax.lax.map(at, ways)
+    shared = shared_drag(scene, motion) if scene.between_nodes else None
+    drag, excess = node_drag(scene, motion), excess_drag(scene, motion, rate)
+    return drag, excess, jax.lax.map(at, ways), shared

@@ -12,6 +12,7 @@ from jaxtyping import Array, Float
 
 from rodjax.numerics.block_tridiagonal import BlockTridiagonal
 from rodjax.rods.balance import ElementTangent, scatter
+from rodjax.rods.node_blocks import NodeBlocks
 from rodjax.rods.rod import Rod
 from rodjax.scenes.holds import Node, with_part
 
@@ -66,7 +67,7 @@ def residual_rows(
 def assemble(
     rod: Rod,
     tangent: ElementTangent,
-    node: Float[Array, "nodes 6 6"],
+    node: NodeBlocks,
     projectors: Float[Array, "h 6 6"],
     nodes: tuple[Node, ...],
     scales: Scales,
@@ -81,7 +82,7 @@ def assemble(
     Scaled so: rows by 1, 1/F, 1/(F l); columns by l, F, 1 (F, l of `scales`).
     """
     l, f = scales.length, scales.force
-    n, dtype = rod.elements, node.dtype
+    n, dtype = rod.elements, node.own.dtype
     before = lambda blocks: jnp.pad(blocks, ((1, 0), (0, 0), (0, 0)))
     after = lambda blocks: jnp.pad(blocks, ((0, 1), (0, 0), (0, 0)))
     zero = jnp.zeros((n, 3, 3), dtype)
@@ -107,14 +108,16 @@ def assemble(
     as_second = grid((edge, give, cs_j), (zero, tangent.frame, fs_j), (me_j, mf_j, ms_jj))
     lower = before(grid((-edge, zero, cs_i), (zero, zero, fs_i), (-me_j, zero, ms_ji)))
     upper = after(grid(nothing, (zero, -tangent.frame, -fs_j), (me_i, mf_i, ms_ij)))
-    scaled = node * (scales.motion[None, :] / scales.wrench[:, None])[None]
-    own = jnp.concatenate([scaled[:, :, :3], jnp.zeros_like(node[:, :, :3]), scaled[:, :, 3:]], 2)
+    own = _columns(node.own, scales)
     # the element before node 0 does not exist: its force is a dummy, set to zero
     dummy = jnp.zeros((9, 9), dtype).at[:3, 3:6].set(jnp.eye(3, dtype=dtype))
     diagonal = jnp.pad(own, ((0, 0), (3, 0), (0, 0))) + jnp.pad(
         dummy[None], ((0, n), (0, 0), (0, 0))
     )
     diagonal = diagonal + after(as_first) + before(as_second)
+    if node.before is not None and node.after is not None:
+        balances = lambda blocks: jnp.pad(_columns(blocks, scales), ((0, 0), (3, 0), (0, 0)))
+        lower, upper = lower + balances(node.before), upper + balances(node.after)
 
     # rows of the balances at the nodes that are held, before, of, and after their own block
     parts = [lower, diagonal, upper]
@@ -127,3 +130,11 @@ def assemble(
             replaced = row[None, :, 9 * k : 9 * k + 9]
             parts[k] = with_part(parts[k], replaced, (at, 3, 0))
     return BlockTridiagonal(*parts)
+
+
+def _columns(blocks: Float[Array, "nodes 6 6"], scales: Scales) -> Float[Array, "nodes 6 9"]:
+    """Scaled derivatives of the balances by motions of nodes, with no columns of forces."""
+    scaled = blocks * (scales.motion[None, :] / scales.wrench[:, None])[None]
+    return jnp.concatenate(
+        [scaled[:, :, :3], jnp.zeros_like(blocks[:, :, :3]), scaled[:, :, 3:]], 2
+    )

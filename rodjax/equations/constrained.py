@@ -19,6 +19,7 @@ from rodjax.interactions.load import total_wrench
 from rodjax.numerics import newton
 from rodjax.numerics.block_tridiagonal import BlockTridiagonal
 from rodjax.rods import balance, inertia, stretch_rates
+from rodjax.rods.node_blocks import NodeBlocks, node_blocks
 from rodjax.rods.state import NodeMotion, State, at_rest
 from rodjax.rods.strains import Strains, strains
 from rodjax.scenes.holds import impose, rows_at
@@ -34,7 +35,7 @@ class Constrained(eqx.Module):
     rigid: Float[Array, "n 3"]  # 0 where the element is compliant
     projectors: Float[Array, "h 6 6"]
     scales: Scales
-    mass: Float[Array, "nodes 6 6"]
+    mass: NodeBlocks
     system: CoupledSystem | JointedSystem  # of `multiply`, without derivative
     joints: Float[Array, "j 6 2 6"] | None  # their slopes
 
@@ -47,7 +48,7 @@ class Constrained(eqx.Module):
         if rod.compliance is not None:
             rigid = jnp.where(rod.compliance > 0, 0.0, 1.0)
         matrix = _inertia_matrix(scene, state)
-        scales = Scales(rod.mean_length, jnp.mean(matrix[:, 0, 0]) * rod.mean_length)
+        scales = Scales(rod.mean_length, jnp.mean(matrix.own[:, 0, 0]) * rod.mean_length)
         tangent = balance.constraint_tangent(rod, kinematics)
         blocks = _release(assemble(rod, tangent, matrix, both, scene.held_nodes, scales), rigid)
         system = CoupledSystem(lax.stop_gradient(blocks))
@@ -70,7 +71,7 @@ class Constrained(eqx.Module):
         rows, scales = x, self.scales
         x = self._of_nodes(rows)
         rate = scales.change(x)
-        wrench = jnp.einsum("nij,nj->ni", self.mass, rate) + balance.constraint_wrench(
+        wrench = self.mass.multiply(rate) + balance.constraint_wrench(
             self.scene.rod, self.kinematics, scales.internal_force(x)
         )
         if self.joints is not None:
@@ -208,7 +209,7 @@ def _release(blocks: BlockTridiagonal, rigid: Float[Array, "n 3"]) -> BlockTridi
     )
 
 
-def _inertia_matrix(scene: Scene, state: State) -> Float[Array, "nodes 6 6"]:
+def _inertia_matrix(scene: Scene, state: State) -> NodeBlocks:
     """Mass matrix of the nodes; for a rod without inertia the matrix of its linear drag.
 
     Where rotations have no inertia (or drag) of their own they get that of a short segment,
@@ -230,8 +231,11 @@ def _inertia_matrix(scene: Scene, state: State) -> Float[Array, "nodes 6 6"]:
             return -total_wrench(scene.loads, rod, moving)
     else:
         wrench = lambda rate: inertia.inertial_wrench(scene, resting, rate)
-    matrix = inertia.node_jacobian(wrench, zero)
+    between = rod.mass is None and scene.between_nodes
+    blocks = node_blocks(wrench, zero, between)
+    matrix = blocks.own
     segment = jnp.trace(matrix[:, :3, :3], axis1=1, axis2=2) / 3 * rod.node_length**2 / 12
     angular = jnp.diagonal(matrix[:, 3:, 3:], axis1=1, axis2=2)
     add = jnp.where(angular > 0, 0.0, segment[:, None])
-    return matrix.at[:, 3:, 3:].add(add[:, :, None] * jnp.eye(3, dtype=matrix.dtype)[None])
+    own = matrix.at[:, 3:, 3:].add(add[:, :, None] * jnp.eye(3, dtype=matrix.dtype)[None])
+    return blocks._replace(own=own)

@@ -209,14 +209,14 @@ class Equations(eqx.Module, Generic[Scheme]):
             moving = Moving(placed.acceleration, turn, *numbers)
         tangent = balance.element_tangent(scene.rod, motion, self.force(x), moving)
         node = node_tangent(scene, motion, moving=moving, load_factor=scheme.load_part())
-        node = scheme.stiffened(placed.change, node)
+        node = node._replace(own=scheme.stiffened(placed.change, node.own))
         moments = self._of_moments(push)
         if moments is not None:
-            node = node + moments
+            node = node._replace(own=node.own + moments)
         joints, border = self.joints(x), None
         if joints is not None:
             found = joint_terms.terms(scene, motion, joints)
-            node = node + joint_terms.own_tangent(scene, found)
+            node = node._replace(own=node.own + joint_terms.own_tangent(scene, found))
             at = self.projectors, scene.held_nodes, self.scales
             border = joint_terms.border_of(scene, found.slope, found.curvature, *at)
         anchors = anchors_of(scene)

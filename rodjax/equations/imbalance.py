@@ -15,7 +15,8 @@ from rodjax.interactions.self_contact import FoundContact
 from rodjax.numerics import rotations
 from rodjax.rods import balance
 from rodjax.rods.balance import Internal
-from rodjax.rods.inertia import inertial_wrench, node_jacobian
+from rodjax.rods.inertia import inertial_wrench
+from rodjax.rods.node_blocks import NodeBlocks, node_blocks
 from rodjax.rods.state import Moving, NodeMotion, State, at_rest
 from rodjax.scenes.scene import Scene
 
@@ -85,8 +86,8 @@ def node_tangent(
     *,
     moving: Moving | None = None,
     load_factor: Factor | None = None,
-) -> Float[Array, "nodes 6 6"]:
-    """Derivative of inertia less loads of each node by its displacement and body spin.
+) -> NodeBlocks:
+    """Derivative of inertia less loads of each node by displacements and body spins.
 
     Args:
         moving: how rates follow; None at rest.
@@ -95,7 +96,7 @@ def node_tangent(
     dtype = motion.position.dtype
     zero = jnp.zeros((scene.rod.elements + 1, 6), dtype)
     if not scene.loads and (moving is None or scene.rod.mass is None):
-        return jnp.zeros((*zero.shape, 6), dtype)
+        return NodeBlocks(jnp.zeros((*zero.shape, 6), dtype))
     # of a quaternion by a body spin: its products with half of i, j, k
     units = 0.5 * jnp.eye(4, dtype=dtype)[1:]
     product = lambda unit: rotations.multiply(
@@ -122,7 +123,7 @@ def node_tangent(
             total = total - one
         return total
 
-    return node_jacobian(lacking, zero)
+    return node_blocks(lacking, zero, scene.between_nodes)
 
 
 def static_imbalance(

@@ -6,6 +6,7 @@ from jaxtyping import Array, Float
 
 from rodjax.interactions.load import total_wrench
 from rodjax.rods.inertia import node_jacobian
+from rodjax.rods.node_blocks import node_blocks
 from rodjax.rods.state import NodeMotion
 from rodjax.scenes.scene import Scene
 
@@ -20,12 +21,7 @@ def node_drag(scene: Scene, motion: NodeMotion) -> Float[Array, "nodes 6 6"]:
     has c ds^2/12. Either matters at wavelengths of an element alone.)
     """
     zero = jnp.zeros((scene.rod.elements + 1, 6), motion.position.dtype)
-
-    def resisting(rate):
-        moving = motion._replace(velocity=rate[:, :3], angular_velocity=rate[:, 3:])
-        return -total_wrench(scene.loads, scene.rod, moving)
-
-    matrix = node_jacobian(resisting, zero)
+    matrix = node_jacobian(_resisting(scene, motion), zero)
     length = scene.rod.length
     longer = jnp.maximum(jnp.pad(length, (0, 1)), jnp.pad(length, (1, 0)))
     across = jnp.trace(matrix[:, :3, :3], axis1=1, axis2=2) / 3 * longer**2 / 4
@@ -33,6 +29,24 @@ def node_drag(scene: Scene, motion: NodeMotion) -> Float[Array, "nodes 6 6"]:
     lacking = jnp.where(own > 0, 0.0, across[:, None])
     sides = jnp.arange(3, 5)
     return matrix.at[:, sides, sides].add(lacking)
+
+
+def _resisting(scene: Scene, motion: NodeMotion):
+    """Minus what the loads exert, by the rates of the nodes."""
+
+    def resisting(rate):
+        moving = motion._replace(velocity=rate[:, :3], angular_velocity=rate[:, 3:])
+        return -total_wrench(scene.loads, scene.rod, moving)
+
+    return resisting
+
+
+def shared_drag(scene: Scene, motion: NodeMotion) -> Float[Array, ""]:
+    """Largest derivative of what the loads exert on a node by the rates of those beside it."""
+    zero = jnp.zeros((scene.rod.elements + 1, 6), motion.position.dtype)
+    blocks = node_blocks(_resisting(scene, motion), zero, True)
+    assert blocks.before is not None and blocks.after is not None
+    return jnp.maximum(jnp.max(jnp.abs(blocks.before)), jnp.max(jnp.abs(blocks.after)))
 
 
 def excess_drag(scene: Scene, motion: NodeMotion, rate: Float[Array, "nodes 6"]) -> Array:

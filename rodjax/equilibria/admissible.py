@@ -189,8 +189,16 @@ def damping_matrix(scene: Scene, state: State, motions: Admissible) -> Float[Arr
 
     # over A T / L^3, before the lengths of the motions are put in
     unit = mean_bending(scene) / jnp.sum(scene.rod.length) ** 2 / jnp.sum(scene.rod.length)
-    matrix = node_jacobian(wrench, zero) * (rate_of(scene) / unit)
-    outer = motions.on_motions(_scaled(matrix, scene))
+    if scene.between_nodes:
+        # all motions of it, of which each node's neighbours are part
+        unit = unit / rate_of(scene)
+        over = (_units(scene) / jnp.sum(scene.rod.length))[None]
+        push = lambda z: over * jax.jvp(wrench, (zero,), (over * z,))[1] / unit
+        basis = motions.basis.reshape(len(motions.basis), -1)
+        outer = basis @ jax.vmap(push)(motions.basis).reshape(len(basis), -1).T
+    else:
+        matrix = node_jacobian(wrench, zero) * (rate_of(scene) / unit)
+        outer = motions.on_motions(_scaled(matrix, scene))
     return outer if inner is None else outer + inner
 
 

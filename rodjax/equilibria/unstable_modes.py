@@ -122,7 +122,7 @@ def _tangent(equations: Equations[AtRest], x) -> BlockTridiagonal:
     node = node_tangent(scene, motion, load_factor=scheme.load_part())
     joints = _joint_terms(equations, x)
     if joints is not None:
-        node = node + joint_terms.own_tangent(scene, joints)
+        node = node._replace(own=node.own + joint_terms.own_tangent(scene, joints))
     # by spins of the body a moment m that is not balanced leaves hat(m)/2 in the tangent; neither
     # what the path's start lacks nor a resistance is one of the rod's loads, while what holds an
     # end is
@@ -132,13 +132,13 @@ def _tangent(equations: Equations[AtRest], x) -> BlockTridiagonal:
         lacking = with_row(lacking, place, lacking[place] - held @ lacking[place])
     if scheme.resistance is not None:
         lacking = lacking - scheme.resistance[:, 3:] * equations.of_nodes(x)[:, 6:]
-    node = node.at[:, 3:, 3:].add(-0.5 * rotations.hat(lacking))
-    nowhere = jnp.zeros((0, 6, 6), node.dtype), ()
+    node = node._replace(own=node.own.at[:, 3:, 3:].add(-0.5 * rotations.hat(lacking)))
+    nowhere = jnp.zeros((0, 6, 6), x.dtype), ()
     blocks = assemble(scene.rod, elements, node, *nowhere, equations.scales)
     # in units in which the tangent is a second derivative
     length = equations.scales.length
     edges = jnp.concatenate([length[None], scene.rod.gauge_length]) / length
-    factor = jnp.ones((len(edges), 9, 1), node.dtype).at[:, :3, 0].set(edges[:, None])
+    factor = jnp.ones((len(edges), 9, 1), x.dtype).at[:, :3, 0].set(edges[:, None])
     return jax.tree.map(lambda rows: factor * rows, blocks)
 
 

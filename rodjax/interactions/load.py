@@ -1,6 +1,7 @@
-"""Loads: what acts on every node by that node's own motion alone.
+"""Loads: what acts on every node by that node's own motion, or by that of its neighbours too.
 
-So the tangent of a load is one 6x6 block a node. A scene holds a tuple of loads; they are summed.
+So the tangent of a load is one 6x6 block a node, or three. A scene holds a tuple of loads; they are
+summed.
 """
 
 import abc
@@ -31,7 +32,10 @@ class AbstractLoad(AbstractInteraction):
 
     @abc.abstractmethod
     def wrench(self, rod: Rod, motion: NodeMotion) -> Float[Array, "nodes 6"]:
-        """Force (inertial) [N] and moment (body) [N m] on each node, from its own motion only."""
+        """Force (inertial) [N] and moment (body) [N m] on each node.
+
+        From its own motion only, unless it is `between_nodes`.
+        """
 
     def energy(self, rod: Rod, motion: NodeMotion) -> Float[Array, ""]:
         """Potential energy of a load whose role is STORED or CONTACT [J].
@@ -51,6 +55,14 @@ class AbstractLoad(AbstractInteraction):
     def stored(self, rod, motion, found):
         """`energy`."""
         return self.energy(rod, motion)
+
+    @property
+    def between_nodes(self) -> bool:
+        """Whether a node's wrench hangs on the motion of the nodes beside it in its rod too.
+
+        By default it does not, which costs less. Its added mass hangs on its own motion always.
+        """
+        return False
 
     @property
     def may_hold(self) -> bool:

@@ -1,8 +1,8 @@
 """What a user's loads and ends must keep to, probed by numbers when a scene is made.
 
-The equations have one block a node for the loads, and ends that change at their switch times only:
-a load that looked at other nodes, or an end that turned in between, would run on with wrong
-derivatives or a wrong motion.
+The equations have a block a node for the loads, or three with those beside it, and ends that change
+at their switch times only: a load that looked at other nodes, or an end that turned in between,
+would run on with wrong derivatives or a wrong motion.
 """
 
 import hashlib
@@ -39,15 +39,18 @@ _OF_ZEROS = (
 def check_local(load: AbstractLoad, rod: Rod, name: str) -> None:
     """Raise ValueError if a node's wrench or added mass changes with another node's motion.
 
-    All nodes but some are moved, and the rows of those must stay as they were; for every two
-    nodes there is a set that holds the one but not the other. In traced code too: the program of
-    the wrench is run with stand-ins for what is traced, and for zeros, that may hide something.
-    Rows that are not finite tell nothing, nor does a function that cannot be traced.
+    That of a load that acts `between_nodes` may change with the nodes beside it in its rod. All
+    nodes but some are moved, and the rows of those must stay as they were; for every two nodes
+    there is a set that holds the one (and those beside it) but not the other. In traced code too:
+    the program of the wrench is run with stand-ins for what is traced, and for zeros, that may hide
+    something. Rows that are not finite tell nothing, nor does a function that cannot be traced.
     """
     function = getattr(load, "function", None)
     if type(load).__module__.startswith(_OWN) and function is None:
         return
     kind = _kind(load)
+    if kind is not None and load.between_nodes:
+        kind = kind, rod.breaks  # across which nodes are not beside each other
     if kind in _PASSED:
         _PASSED[kind] = _PASSED.pop(kind)
         return
@@ -59,22 +62,24 @@ def check_local(load: AbstractLoad, rod: Rod, name: str) -> None:
         for scale in (1.0, 1e-3):  # far from each other, and close
             one, other = (_motion(rod, scale, generator) for _ in range(2))
             before = rows(one)
-            for kept in _sets(nodes):
-                changed = kept & _differ(before, rows(_mixed(kept, one, other)))
+            for kept, inside, reach, looked in _sets(rod, load.between_nodes):
+                differ = lambda rows, other, looked=looked: _differ(
+                    rows[:, looked], other[:, looked]
+                )
+                changed = inside & differ(before, rows(_mixed(kept, one, other)))
                 if np.any(changed):
                     node = int(np.argmax(changed))
                     alone = (_mixed(np.arange(nodes) != j, one, other) for j in range(nodes))
-                    moved = [_differ(before, rows(motion))[node] for motion in alone]
-                    moved[node] = False
+                    moved = [differ(before, rows(motion))[node] for motion in alone]
+                    moved = moved & ~_near(rod, node, reach)
                     which = f"node {np.argmax(moved)}" if any(moved) else "other nodes"
                     given, _ = _program(load, rod, generator, title, zeros_stay=True)
-                    moving = _differ(given(one), given(_mixed(kept, one, other)))
+                    moving = differ(given(one), given(_mixed(kept, one, other)))
                     raise _Refused(
                         f"{title}: the wrench on node {node}, or the mass added to it, changes with"
                         f" the motion of {which}, for which the equations of a step have no place;"
-                        " use the node's own row of `motion` only (no mean, sum, difference or"
-                        " shift along the nodes). Forces between strands belong in `contact`"
-                        + ("" if np.any(kept & moving) else _OF_ZEROS)
+                        f" use {_ALLOWED[reach]}. Forces between strands belong in `contact`"
+                        + ("" if np.any(inside & moving) else _OF_ZEROS)
                     )
     except _Refused as refusal:  # the caller's traceback names no private class
         raise ValueError(*refusal.args) from refusal.__cause__
@@ -119,6 +124,13 @@ def _of_leaf(leaf):
     if isinstance(leaf, jax.core.Tracer) or jnp.issubdtype(dtype, jnp.inexact):
         return shape, str(dtype)
     return shape, str(dtype), hashlib.sha256(np.asarray(leaf).tobytes()).digest()
+
+
+# What rows of the motion may be used, as far along the rod as this.
+_ALLOWED = (
+    "the node's own row of `motion` only (no mean, sum, difference or shift along the nodes)",
+    "for its wrench the rows of `motion` of the node and of those beside it in its rod only",
+)
 
 
 class _Refused(ValueError):
@@ -196,11 +208,44 @@ def _mixed(kept, one, other):
     return (one[0], *map(pick, one[1:], other[1:]))
 
 
-def _sets(nodes):
-    """Of any two nodes one of these sets holds the first but not the second."""
-    for bit in range((nodes - 1).bit_length()):
-        marked = (np.arange(nodes) >> bit & 1).astype(bool)
-        yield from (marked, ~marked)
+# Columns of what is looked at: the wrench, then the mass that is added.
+_ALL, _MASS = slice(None), slice(6, None)
+
+
+def _sets(rod, between_nodes):
+    """Sets of nodes that stay, which of them have all stay that they may hang on, how far that
+    reaches, and in what columns.
+
+    Of any two nodes of which the first may not hang on the second, a set holds the first inside
+    but not the second.
+    """
+    nodes = np.arange(rod.elements + 1)
+    own = _MASS if between_nodes else _ALL
+    yield from ((*sets, 0, own) for sets in _halves(nodes, np.ones_like(nodes, bool)))
+    if not between_nodes:
+        return
+    rods = np.repeat(range(len(rod.parts)), [part.last - part.first + 1 for part in rod.parts])
+    for shift in range(3):
+        # groups of three nodes of a rod, a node in the middle of one of them
+        group = np.unique(rods * len(nodes) + (nodes + shift) // 3, return_inverse=True)[1]
+        apart = (group[1:] != group[:-1]) & (rods[1:] == rods[:-1])
+        inside = ~(np.append(apart, False) | np.append(False, apart))
+        yield from ((*sets, 1, _ALL) for sets in _halves(group, inside))
+
+
+def _halves(group, inside):
+    """Sets of whole groups, of which for any two one holds the first but not the second."""
+    for bit in range(int(group[-1]).bit_length()):
+        marked = (group >> bit & 1).astype(bool)
+        yield from ((kept, kept & inside) for kept in (marked, ~marked))
+
+
+def _near(rod, node, reach):
+    """The nodes so far from one."""
+    near = np.zeros(rod.elements + 1, bool)
+    part = next(part for part in rod.parts if part.first <= node <= part.last)
+    near[max(node - reach, part.first) : min(node + reach, part.last) + 1] = True
+    return near
 
 
 def _differ(before, after):

@@ -212,6 +212,11 @@ class Scene(eqx.Module):
         return self.loads if own is None else (*self.loads, own)
 
     @property
+    def between_nodes(self) -> bool:
+        """Whether a load's wrench on a node hangs on its neighbours, see `AbstractLoad`."""
+        return any(load.between_nodes for load in self.loads)
+
+    @property
     def remembers(self) -> bool:
         """Whether anything of it remembers the motion before, see `State.memory`."""
         return any(load.remembers for load in self.loads) or self._material_remembers
