@@ -29,6 +29,7 @@ from rodjax.continuation.family import (
 )
 from rodjax.continuation.near_modes import Motions
 from rodjax.equilibria.motion_norms import moving_weight
+from rodjax.equilibria.passages_at_rest import passages
 from rodjax.equilibria.path_following import overflow
 from rodjax.numerics import results
 from rodjax.numerics.compilation import compiled
@@ -153,6 +154,7 @@ def arc_step(
     driven = jnp.where(
         driven_far(family, place, parameter, p), Result.DRIVE_TOO_FAST, Result.SUCCESS
     )
+    passed = passages(equations.scene, equations.time, place.position, new.position)
     far = jnp.sum(weight * (x - first) ** 2) + ((p - p_first) / unit) ** 2
     tangent = end.tangent
     length = jnp.sqrt(jnp.sum(weight * tangent.x**2) + tangent.parameter**2)
@@ -161,7 +163,7 @@ def arc_step(
         p,
         new,
         tangent,
-        results.join(result, turned, driven, overflow(family.pairs(p, place, x))),
+        results.join(result, turned, driven, overflow(family.pairs(p, place, x)), *passed),
         jnp.sqrt(far),
         jnp.sum(row * tangent.x) + aim.row.parameter * tangent.parameter,
         end.iterations,

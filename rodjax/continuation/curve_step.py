@@ -28,6 +28,7 @@ from rodjax.continuation.family import (
 from rodjax.continuation.near_modes import Motions, near_modes
 from rodjax.continuation.singular_points import SingularPoint
 from rodjax.equilibria.motion_norms import moving_weight
+from rodjax.equilibria.passages_at_rest import passages
 from rodjax.equilibria.path_following import overflow
 from rodjax.numerics import results
 from rodjax.numerics.compilation import compiled
@@ -146,14 +147,15 @@ def curve_step(
     size = jnp.sqrt(jnp.sum(weight * tangent.x**2) + jnp.sum(tangent.parameter**2))
     tangent = jax.tree.map(lambda part: part / size, tangent)
     x = family.guess(end.parameters, end.place)
-    scene = family.at(end.parameters)[0]
+    scene, time = family.at(end.parameters)
     mode = end.mode / jnp.sqrt(jnp.sum(moving_weight(scene) * end.mode**2))
     point = CurvePoint(end.parameters, end.place, mode, start.free, tangent)
     astray = jnp.where(wound(scene.rod, end.place.quaternion), Result.ROTATION_TOO_LARGE, 0)
     driven = driven_far(family, place, start.parameters, end.parameters)
     driven = jnp.where(driven, Result.DRIVE_TOO_FAST, 0)
     crowded = overflow(family.pairs(end.parameters, end.place, x))
-    result = results.join(result, astray, driven, crowded)
+    passed = passages(scene, time, place.position, end.place.position)
+    result = results.join(result, astray, driven, crowded, *passed)
     return CurveStep(point, result, end.corrected, inner(*tangent), end.iterations)
 
 

@@ -33,6 +33,7 @@ from rodjax.equations.imbalance import lacking
 from rodjax.equations.rigid_motions import Hold
 from rodjax.equations.schemes import AtRest, Reference, rest_on_path
 from rodjax.equilibria.motion_norms import moving_weight, resisting_weight
+from rodjax.equilibria.passages_at_rest import passages
 from rodjax.equilibria.unstable_modes import count_below, neutral
 from rodjax.interactions.screening import NearPairs
 from rodjax.numerics import newton, results, rotations
@@ -187,6 +188,7 @@ def follow(
             ),
             code(driven, Result.DRIVE_TOO_FAST),
             overflow(near_strands(trial, x)),
+            *passages(trial.scene, trial.time, reference[0], trial.motion(x).position),
         )
         converged = result == Result.SUCCESS
         least = neutral(scene, trial.force(x))

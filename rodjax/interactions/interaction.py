@@ -130,6 +130,10 @@ class AbstractInteraction(eqx.Module):
         """The `Result` that a step between these positions has for it; None for success."""
         return None
 
+    def path_verdict(self, rod: Rod, before: Positions, after: Positions) -> Int[Array, ""] | None:
+        """As `verdict`, of a step along a path of equilibria, which may be a long one."""
+        return None
+
     def check(self, rod: Rod) -> None:
         """Raise ValueError where the rod lacks what it needs."""
 

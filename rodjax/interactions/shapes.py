@@ -46,6 +46,13 @@ class AbstractShape(eqx.Module):
         """The distance and its gradient."""
         return jax.value_and_grad(self.distance)(point)
 
+    @property
+    def convex_room(self) -> bool:
+        """Whether the room outside the obstacle is convex: no straight line between two places in
+        it enters the obstacle, so that no rod has it between two of its points.
+        """
+        return False
+
     def patches(
         self, low: Float[np.ndarray, "3"], high: Float[np.ndarray, "3"]
     ) -> list[Float[np.ndarray, "i j 3"]]:
@@ -106,6 +113,10 @@ class Plane(AbstractShape):
         normal = _unit(self.normal)
         return jnp.sum((point - self.point) * normal), normal
 
+    @property
+    def convex_room(self):
+        return True
+
     def patches(self, low, high):
         return [surfaces.plane(np.asarray(self.point), np.asarray(self.normal), low, high)]
 
@@ -135,6 +146,10 @@ class Sphere(AbstractShape):
     def distance(self, point):
         beyond = _length(point - self.centre) - self.radius
         return -beyond if self.inside else beyond
+
+    @property
+    def convex_room(self):
+        return self.inside
 
     def patches(self, low, high):
         return [surfaces.sphere(np.asarray(self.centre), float(self.radius))]
@@ -169,6 +184,10 @@ class Cylinder(AbstractShape):
         axis, arm = _unit(self.axis), point - self.point
         beyond = _length(arm - jnp.sum(arm * axis) * axis) - self.radius
         return -beyond if self.inside else beyond
+
+    @property
+    def convex_room(self):
+        return self.inside
 
     def patches(self, low, high):
         line = np.asarray(self.point), np.asarray(self.axis)

@@ -13,7 +13,7 @@ from rodjax.inputs.argument_types import AnyArray
 from rodjax.inputs.validation import all_known
 from rodjax.interactions import contact_report
 from rodjax.interactions.contact_report import ContactReport
-from rodjax.interactions.obstacles import ObstacleContact
+from rodjax.interactions.obstacle_touch import ObstacleContact
 from rodjax.measuring import energy
 from rodjax.measuring.blocks import over_states
 from rodjax.measuring.mutual import mutual_linking  # noqa: F401 (public here)
@@ -151,6 +151,9 @@ def contacts(scene: Scene, run: Run) -> ContactReport:
 
 def obstacle_contact(scene: Scene, run: Run, load: int) -> ObstacleContact:
     """What passes between the nodes and an obstacle at every saved time of a run.
+
+    Forces at points between nodes (`Obstacle.points_per_element`) are shared out to the nodes;
+    gaps, slip, and whether they stick or slide, are those of the nodes themselves.
 
     Args:
         load: which of `scene.loads` is the obstacle.

@@ -67,8 +67,10 @@ MESSAGES = {
         " end slide on, give the rod axial compliance, or begin the hold when the rod is bent"
     ),
     Result.OBSTACLE_PASSED: (
-        "a node went through an obstacle in one step, or half a diameter into it; use smaller steps"
-        " (the adaptive rollout takes them by itself), or a stiffer obstacle"
+        "a node went through an obstacle, or half a diameter into it in one step: use smaller steps"
+        " (the adaptive rollout takes them by itself), or a stiffer obstacle; or an obstacle came"
+        " between two nodes, which did not feel it: use more elements, or points between nodes"
+        " (`points_per_element` of the obstacle)"
     ),
     Result.DIFFUSED_TOO_FAR: (
         "in one step of a thermal rod a node moved farther than half of the contact's cut-off, so"
