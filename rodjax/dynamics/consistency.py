@@ -98,9 +98,9 @@ def start(
         breaks=rod.breaks,
     )
     state = scene.remembering(state)
+    start_checks.check_driven_joints(scene, state)
     start_checks.check_held_once(scene, state)
     start_checks.check_spin(scene, state)
-    start_checks.check_driven_joints(scene, state)
     check_apart(scene, state)
     new, _, gap = compiled_restart(scene, state)
     tolerance = 1e3 * float(jnp.finfo(dtype).eps) * nodes
