@@ -12,6 +12,7 @@ from rodjax.equations.assembly import Scales, assemble
 from rodjax.equations.coupled import CoupledSystem
 from rodjax.rods.balance import element_tangent
 from rodjax.rods.builders import straight_rod
+from rodjax.rods.node_blocks import NodeBlocks
 from rodjax.rods.state import at_rest
 
 ELEMENTS = 10
@@ -35,7 +36,7 @@ def solutions(first, last, bent, b):
     state = jax.tree.map(choose, (position, quaternion, force), straight)
     scales = Scales(jnp.asarray(0.1), jnp.asarray(100.0))
     tangent = element_tangent(rod, at_rest(jnp.zeros(()), *state[:2]), state[2])
-    node = jnp.zeros((ELEMENTS + 1, 6, 6))
+    node = NodeBlocks(jnp.zeros((ELEMENTS + 1, 6, 6)))
     built = lambda *held: CoupledSystem(assemble(rod, tangent, node, *held, scales))
     held = jnp.stack([first, last]), (0, ELEMENTS)
     system = AnchoredSystem(built(held[0][:0], ()), *held, (Anchor(0, clamped=False),))

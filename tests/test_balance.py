@@ -14,6 +14,7 @@ from rodjax import rotations
 from rodjax.equations.assembly import Scales, assemble
 from rodjax.rods import balance
 from rodjax.rods.builders import straight_rod
+from rodjax.rods.node_blocks import NodeBlocks
 from rodjax.rods.section import Section
 from rodjax.rods.state import at_rest
 from rodjax.rods.strains import curvature, element_quaternions, strains
@@ -112,9 +113,8 @@ def assembled(rod, position, quaternion, force):
     zero = jnp.zeros((6, 6))
     tangent = balance.element_tangent(rod, at_rest(jnp.zeros(()), position, quaternion), force)
     scales = Scales(jnp.asarray(1.0), jnp.asarray(1.0))
-    return assemble(
-        rod, tangent, jnp.zeros((ELEMENTS + 1, 6, 6)), jnp.stack([zero, zero]), BOTH, scales
-    )
+    none = NodeBlocks(jnp.zeros((ELEMENTS + 1, 6, 6)))
+    return assemble(rod, tangent, none, jnp.stack([zero, zero]), BOTH, scales)
 
 
 @jax.jit
@@ -164,10 +164,10 @@ def test_scales_and_projectors_of_assemble():
         rod, at_rest(jnp.zeros(()), *configuration[:2]), configuration[2]
     )
     plain = Scales(jnp.asarray(1.0), jnp.asarray(1.0))
-    raw = dense(assemble(rod, tangent, node, jnp.stack([zero, zero]), BOTH, plain))
+    raw = dense(assemble(rod, tangent, NodeBlocks(node), jnp.stack([zero, zero]), BOTH, plain))
     length, force = 0.3, 7.0
     scales = Scales(jnp.asarray(length), jnp.asarray(force))
-    found = dense(assemble(rod, tangent, node, jnp.stack([zero, slider]), BOTH, scales))
+    found = dense(assemble(rod, tangent, NodeBlocks(node), jnp.stack([zero, slider]), BOTH, scales))
     columns = np.tile(np.repeat([length, force, 1.0], 3), ELEMENTS + 1)
     rows = np.tile(np.repeat([1.0, 1 / force, 1 / (force * length)], 3), ELEMENTS + 1)
     expected = rows[:, None] * raw * columns[None, :]
@@ -179,7 +179,9 @@ def test_scales_and_projectors_of_assemble():
     expected[-6:, last] += slider
     np.testing.assert_allclose(found, expected, atol=1e-12 * np.max(np.abs(expected)))
     # the mass matrix in `node` sits on the nodes' own columns
-    without = dense(assemble(rod, tangent, 0 * node, jnp.stack([zero, zero]), BOTH, plain))
+    without = dense(
+        assemble(rod, tangent, NodeBlocks(0 * node), jnp.stack([zero, zero]), BOTH, plain)
+    )
     difference = (raw - without).reshape(ELEMENTS + 1, 9, ELEMENTS + 1, 9)
     picked = difference[2, 3:, 2][:, [0, 1, 2, 6, 7, 8]]
     np.testing.assert_allclose(picked, node[2], atol=1e-12)

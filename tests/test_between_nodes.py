@@ -192,6 +192,7 @@ def resting(points, x=0.5, **changes):
     return rx.Scene(rod(), rx.Slider((0, 0, 1)), loads=loads)
 
 
+@pytest.mark.slow
 def test_a_rod_at_rest_on_a_peg_between_its_nodes():
     """Its weight is the normal force, its height that at which the points give it."""
     scene = resting(6)

@@ -94,7 +94,8 @@ def wound(sense, turns, **given):
     return rx.Scene(RING, joints=(motor,), **given)
 
 
-@pytest.mark.parametrize("sense", [1, pytest.param(-1, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("sense", [1, -1])
 def test_a_ring_is_wound_up_where_its_ends_meet(sense):
     """Whichever end comes first: Lk is what was applied, no passage, and the work is booked."""
     scene = wound(sense, 2.5, loads=(rx.LinearDrag(5.0, 5.0, 1e-3),))

@@ -49,7 +49,7 @@ def two(joint, **given):
 
 
 BOTH = [(kind, moving) for kind in KINDS for moving in (True, False)]
-QUICK = [("offset", True)]
+QUICK = [("motor", True)]
 
 
 @pytest.mark.parametrize(
