@@ -117,7 +117,7 @@ def continuum(scene, dead, follower, guess):
 
 
 def against_continuum(build, dead=(0.0, 0.0, 0.0), follower=(0.0, 0.0, 0.0)):
-    """Tip on four grids, the continuous rod's, errors, and the order of convergence."""
+    """Tip on two grids, the continuous rod's, errors, and the order of convergence."""
     states = [solved(build(n)) for n in GRIDS]
     guess = Rotation.from_quat(np.asarray(states[-1].quaternion[-1]), scalar_first=True)
     position, tangent = continuum(build(GRIDS[0]), dead, follower, guess)

@@ -5,6 +5,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from helpers import slow
 
 ROOT = Path(__file__).parents[1]
 
@@ -14,7 +15,7 @@ ROOT = Path(__file__).parents[1]
     [
         ["ruff", "format", "--check", "--diff", "."],
         ["ruff", "check", "."],
-        ["pyright", "--pythonpath", sys.executable],
+        slow(["pyright", "--pythonpath", sys.executable]),
     ],
     ids=["format", "lint", "types"],
 )
