@@ -80,6 +80,17 @@ def test_what_comes_between_points_is_told(thin):
         assert rx.Obstacle(away, 1e4).path_verdict(one, one.position, one.position) is None
 
 
+def test_a_rod_is_a_polygon_on_a_drum():
+    """The middles of its chords are in the drum, as their ends see where these are not too long."""
+    one, drum = rod(4), rx.Obstacle(rx.Cylinder((0, 0, 0), (0, 1, 0), 0.5), 1e5)
+    for angle, expected in ((0.5, rx.Result.SUCCESS), (1.2, rx.Result.OBSTACLE_PASSED)):
+        around = angle * np.arange(5)
+        place = (0.5 + 0.99 * RADIUS) * np.stack([np.sin(around), 0 * around, np.cos(around)], 1)
+        assert (0.5 + RADIUS) * np.cos(0.5 * angle) < 0.5
+        at = jnp.asarray(place)
+        assert int(drum.path_verdict(one, at, at)) == expected
+
+
 def test_a_start_between_nodes_is_refused():
     with pytest.raises(ValueError, match=r"inside the obstacle, between nodes 2 and 3 by 0.00"):
         rx.Scene(rod(), loads=(peg(0.52, down=-0.002),))

@@ -31,7 +31,10 @@ _LOOKS = 8
 # a convex obstacle is convex along a chord: so its deepest place is found to 1/128, wherever it is.
 _PLACES, _CLOSE_PLACES, _TIMES, _CLOSER = 17, 5, 9, 3
 
-Distance = Callable[[Float[Array, "3"]], Float[Array, ""]]
+# Cosine of the angle between the normals at both ends of a chord up to which they see one rounding.
+_SEEN = 0.5
+
+Distance = Callable[[Float[Array, "3"]], tuple[Float[Array, ""], Float[Array, "3"]]]
 Positions = Float[Array, "points 3"]
 
 
@@ -88,7 +91,8 @@ class Deepest(NamedTuple):
     Attributes:
         lacking: below zero where the points beside it do not see what it is in: where it is inside
             the obstacle with its centreline, and more than twice as deep, from where surfaces
-            touch, as either of them [m].
+            touch, as either of them [m]; and below them by more than twice what the chord of a
+            circle would be by which the normals turn (a drum, of which a rod is a polygon).
         distance: of the centreline from the obstacle [m].
     """
 
@@ -126,7 +130,7 @@ def between_points(
     """The deepest places of all chords between points of a rod's elements, in their order.
 
     Args:
-        distance: of one point from the obstacle.
+        distance: of one point from the obstacle, and the normal there.
         before, after: positions of the nodes between which they move.
     """
     nodes = points.radius[: points.rod.elements + 1, None]
@@ -168,7 +172,7 @@ def _whole(chord: _Chord) -> _Window:
 
 def _look(distance: Distance, chord: _Chord, window: _Window, places: int, times: int) -> _Window:
     """A window after a look at so many places at so many times: round what is deepest there."""
-    many, dtype = jax.vmap(jax.vmap(distance)), chord.radius.dtype
+    many, dtype = jax.vmap(jax.vmap(lambda at: distance(at)[0])), chord.radius.dtype
     spread = lambda part, count: (
         part[0] + (part[1] - part[0]) * jnp.linspace(0, 1, count, dtype=dtype)
     )
@@ -176,8 +180,13 @@ def _look(distance: Distance, chord: _Chord, window: _Window, places: int, times
     ends = chord.before[None] + when[:, None, None] * (chord.after - chord.before)[None]
     edge = ends[:, 1] - ends[:, 0]
     there = many(ends[:, :1] + along[None, :, None] * edge[:, None])
-    beside = jnp.minimum(jnp.min(many(ends), 1), chord.radius)
+    distances, normals = jax.vmap(jax.vmap(distance))(ends)
+    nearest = jnp.min(distances, 1)
+    beside = jnp.minimum(nearest, chord.radius)
     lacking = there + jnp.maximum(chord.radius - 2 * beside, 0.0)[:, None]
+    cosine, sagging = _sagging(normals, edge)
+    rounded = there - (nearest - 2 * sagging)[:, None]
+    lacking = jnp.where(cosine[:, None] > _SEEN, jnp.maximum(lacking, rounded), lacking)
     i, j = jnp.divmod(jnp.argmin(lacking), places)
     better = lacking[i, j] < window.found.lacking
     pick = lambda new, old: jnp.where(better, new[i, j], old)
@@ -189,10 +198,23 @@ def _look(distance: Distance, chord: _Chord, window: _Window, places: int, times
     return _Window(*around, found)
 
 
+def _sagging(
+    normals: Float[Array, "t 2 3"], edge: Float[Array, "t 3"]
+) -> tuple[Float[Array, " t"], Float[Array, " t"]]:
+    """Cosine of the angle between the normals at the ends of a chord, and how far its middle is
+    below them if it is that of a circle: l/2 tan(angle/4).
+    """
+    product = jnp.sum(normals[:, 0] * normals[:, 1], 1)
+    size = jnp.sqrt(jnp.sum(normals[:, 0] ** 2, 1) * jnp.sum(normals[:, 1] ** 2, 1))
+    cosine = jnp.clip(product / jnp.where(size > 0, size, 1.0), -1.0, 1.0)
+    half = jnp.sqrt(0.5 * (1 + cosine))
+    return cosine, 0.5 * jnp.sqrt(jnp.sum(edge**2, 1) * (1 - half) / (1 + half))
+
+
 @compiled
 def _between(shape: AbstractShape, points: ElementPoints) -> Deepest:
     position = points.rod.position
-    return between_points(shape.distance, points, position, position)
+    return between_points(shape.distance_and_normal, points, position, position)
 
 
 def check_outside(shape: AbstractShape, points: ElementPoints) -> None:

@@ -324,11 +324,10 @@ class Obstacle(AbstractLoad):
         fixed, rod, before, after = newton.constant((self, rod, before, after))
         points, shift = fixed._points(rod), fixed._shift(before.dtype)[None]
         before, after = before - shift, after - shift
-        between = obstacle_passages.between_points(fixed.shape.distance, points, before, after)
+        looked = fixed.shape.distance_and_normal
+        between = obstacle_passages.between_points(looked, points, before, after)
         own = lambda rows: points.of_rods(points.at(rows))
         radius = points.of_rods(points.radius)
-        through = obstacle_passages.came_through(
-            fixed.shape.distance_and_normal, own(before), own(after), radius
-        )
+        through = obstacle_passages.came_through(looked, own(before), own(after), radius)
         passed = jnp.any(between.lacking < 0) | through
         return jnp.where(passed, Result.OBSTACLE_PASSED, Result.SUCCESS)
