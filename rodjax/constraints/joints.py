@@ -106,6 +106,11 @@ class AbstractJoint(eqx.Module):
         """The direction (t, r) along which its schedule drives the second point; None: none."""
         return None
 
+    def coordinate(self, time: Float[Array, ""]) -> Float[Array, ""]:
+        """How far its schedule has driven it along that direction [m or rad]."""
+        (schedule,) = self.schedules.values()
+        return schedule(time)
+
     def translation(self, first: Frame, second: Frame) -> Float[Array, "3"]:
         """t [m]."""
         return self.second.at(second) - self.first.at(first)

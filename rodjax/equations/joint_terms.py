@@ -236,8 +236,7 @@ def driving(scene: Scene, state: State) -> list[tuple[Float[Array, "1"], Float[A
         along = joint.driven()
         if along is None:
             continue
-        (schedule,) = joint.schedules.values()
         # the opposite acts on the first point
         force = -jnp.sum(along.astype(multipliers.dtype) * multipliers)
-        found.append((force[None], schedule(state.time).astype(force.dtype)[None]))
+        found.append((force[None], joint.coordinate(state.time).astype(force.dtype)[None]))
     return found

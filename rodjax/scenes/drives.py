@@ -54,8 +54,7 @@ def turns_of_joints(scene: Scene, time: Float[Array, ""], dtype) -> list[Float[A
     for joint in scene.joints:
         along = joint.driven()
         if along is not None:
-            (schedule,) = joint.schedules.values()
-            found.append((along[3:] * schedule(time)).astype(dtype))
+            found.append((along[3:] * joint.coordinate(time)).astype(dtype))
     return found
 
 
@@ -68,9 +67,9 @@ def turns_of_ring(scene: Scene, time: Float[Array, ""]) -> Float[Array, ""]:
     for _, joint, sense in scene.closings(0):
         along = joint.driven()
         if along is not None:
-            (schedule,) = joint.schedules.values()
             about = jnp.where(jnp.sum(along[:5] ** 2) < _ASKEW**2, along[5], jnp.nan)
-            total = total + (sense * about * schedule(time) / (2 * jnp.pi)).astype(total.dtype)
+            turns = sense * about * joint.coordinate(time) / (2 * jnp.pi)
+            total = total + turns.astype(total.dtype)
     return total
 
 
