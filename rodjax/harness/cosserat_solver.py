@@ -21,7 +21,7 @@ from rodjax.equations.generalized_alpha import GeneralizedAlpha
 from rodjax.files.versions import version
 from rodjax.harness.material_lines import material_lines
 from rodjax.harness.refinement import refined
-from rodjax.harness.translation import scene_of, settings_of
+from rodjax.harness.translation import scene_of, settings_of, touching
 from rodjax.numerics.results import MESSAGES, ModelWarning, Result
 from rodjax.scenes.scene import Scene
 
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from cosseratbench.trajectory import Trajectory
 
 # Steps in the slowest period: what passes through equilibria, and motion that is itself wanted.
-_STEPS_AT_REST, _STEPS_IN_MOTION = 20, 400
+_STEPS_AT_REST, _STEPS_IN_MOTION = 20, 1600
 
 # Spectral radii at infinite step, of the same.
 _AT_REST, _IN_MOTION = 0.0, 0.9
@@ -76,17 +76,18 @@ class CosseratSolver:
 
     def settings(self, scenario: Any, *, n_elements: int, n_frames: int) -> dict[str, Any]:
         """The numbers chosen for a scenario."""
-        chosen, touching = settings_of(scenario), _touching(scenario)
+        chosen, by_error = settings_of(scenario), touching(scenario)
         steps = self._steps_per_frame(scenario, n_elements, n_frames)
         interval = scenario.duration / (n_frames - 1)
         found = {
             "integrator": "generalised-alpha on R^3 x SO(3) (implicit)",
             "spectral_radius": _radius(scenario),
-            "steps": "by the local error" if touching else "fixed",
-            "largest_time_step" if touching else "time_step": interval / steps,
+            "steps": "by the local error" if by_error else "fixed",
+            "largest_time_step" if by_error else "time_step": interval / steps,
             "damping_rate": chosen.damping_rate,
+            "inertia_kept": chosen.inertia,
         }
-        if touching:
+        if by_error:
             found["sinks_in_radii"] = chosen.sink
         if (fewer := _coarser(scenario, n_elements)) is not None:
             found["extrapolated_from_elements"] = [fewer, n_elements]
@@ -117,7 +118,8 @@ class CosseratSolver:
     def _steps_per_frame(self, scenario: Any, elements: int, frames: int) -> int:
         """How many steps a frame takes, where they are chosen at least."""
         wanted = _STEPS_AT_REST if scenario.quasi_static else _STEPS_IN_MOTION
-        period = 2 * math.pi / scenario.slowest_frequency()
+        inertia = settings_of(scenario).inertia
+        period = 2 * math.pi * math.sqrt(inertia) / scenario.slowest_frequency()
         longest = self.time_step_scale * period / wanted
         steps = max(math.ceil(scenario.duration / (frames - 1) / longest * (1 - 1e-9)), 1)
         # on the coarser grid there are as many times fewer
@@ -143,7 +145,7 @@ class CosseratSolver:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", ModelWarning)  # the benchmark looks at the motion
             state = start(scene)
-            if _touching(scenario):
+            if touching(scenario):
                 finer = self.time_step_scale**2
                 control = StepControl(0.01 * finer, 2.5e-3 * finer, max_step=until / len(times))
                 run = adaptive_rollout(
@@ -159,13 +161,9 @@ class CosseratSolver:
         return run
 
 
-def _touching(scenario: Any) -> bool:
-    return bool(scenario.obstacles) or scenario.self_contact or len(scenario.rods) > 1
-
-
 def _coarser(scenario: Any, elements: int) -> int | None:
     """Elements of the grid to extrapolate from, where the motion counts and is smooth."""
-    smooth = not (scenario.quasi_static or _touching(scenario))
+    smooth = not (scenario.quasi_static or touching(scenario))
     return 4 * elements // 5 if smooth and elements % 5 == 0 and elements >= 10 else None
 
 

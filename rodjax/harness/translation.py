@@ -24,18 +24,24 @@ from rodjax.rods.section import circular_section
 from rodjax.rods.state import NodeMotion
 from rodjax.scenes.scene import Scene
 
+# What is kept of the inertia of what shall come to rest.
+_INERTIA_AT_REST = 0.25
+
 
 @dataclasses.dataclass(frozen=True)
 class Settings:
     """Numbers that a scenario leaves to its solver.
 
     Attributes:
+        inertia: what is kept of mass and rotary inertia; weights stay whole. Where equilibria are
+            wanted and nothing touches less is kept: what is left moves, and rests, sooner.
         damping_rate: of all motion, by its momentum; 0 for none [1/s].
         force: largest that contact is expected to carry [N].
         sink: how far what touches sinks in under it, in radii.
         slip_speed: below which rods creep on each other where they should hold [m/s].
     """
 
+    inertia: float
     damping_rate: float
     force: float
     sink: float
@@ -50,9 +56,16 @@ def settings_of(scenario: Any, sink: float = 0.05) -> Settings:
     bending = max(
         rod.material.youngs_modulus * rod.second_moment_of_area / rod.length**2 for rod in rods
     )
-    rate = 2.0 * scenario.slowest_frequency() if scenario.quasi_static else 0.0
+    inertia = _INERTIA_AT_REST if scenario.quasi_static and not touching(scenario) else 1.0
+    slowest = scenario.slowest_frequency() / np.sqrt(inertia)
+    rate = 2.0 * slowest if scenario.quasi_static else 0.0
     shortest = min(rod.length for rod in rods)
-    return Settings(rate, max(weight, loads, bending), sink, 1e-4 * shortest)
+    return Settings(inertia, rate, max(weight, loads, bending), sink, 1e-4 * shortest)
+
+
+def touching(scenario: Any) -> bool:
+    """Whether anything can touch in a scenario."""
+    return bool(scenario.obstacles) or scenario.self_contact or len(scenario.rods) > 1
 
 
 def scene_of(scenario: Any, elements: int, settings: Settings) -> Scene:
@@ -61,14 +74,14 @@ def scene_of(scenario: Any, elements: int, settings: Settings) -> Scene:
     Raises:
         NotImplementedError: it asks for what this library has not.
     """
-    rods = tuple(_rod(rod, elements) for rod in scenario.rods)
+    rods = tuple(_rod(rod, elements, settings.inertia) for rod in scenario.rods)
     until = scenario.duration
     first, last = (
         tuple(_end(rod, end, until) for rod in scenario.rods) for end in ("start", "end")
     )
     loads = []
     if any(scenario.gravity):
-        loads.append(Gravity(np.asarray(scenario.gravity, float)))
+        loads.append(Gravity(np.asarray(scenario.gravity, float) / settings.inertia))
     for index, rod in enumerate(scenario.rods):
         for load in rod.loads:
             node = index * (elements + 1) + (0 if load.at.value == "start" else elements)
@@ -82,7 +95,7 @@ def scene_of(scenario: Any, elements: int, settings: Settings) -> Scene:
     return scene
 
 
-def _rod(rod: Any, elements: int) -> Rod:
+def _rod(rod: Any, elements: int, inertia: float) -> Rod:
     """A rod as it is placed at the start, straight and unstretched at rest."""
     material = rod.material
     ratio = 0.5 * material.youngs_modulus / material.shear_modulus - 1
@@ -92,7 +105,7 @@ def _rod(rod: Any, elements: int) -> Rod:
         2 * rod.radius,
         material.youngs_modulus,
         material.shear_modulus,
-        material.density,
+        material.density * inertia,
         extensible=True,
         shear_factor=factor,
     )
