@@ -18,6 +18,7 @@ from rodjax.equations.generalized_alpha import (
     opening,
 )
 from rodjax.equations.start_checks import held_twice
+from rodjax.interactions.interaction import as_seen
 from rodjax.numerics import newton, rotations
 from rodjax.numerics.batching import only_where
 from rodjax.numerics.results import Result, as_code, join
@@ -204,8 +205,8 @@ def advance_to(
     largest = lambda v: jnp.sqrt(jnp.max(jnp.sum(lax.stop_gradient(v) ** 2, 1)))
     codes = []
     for one, its in zip(scene.interactions, found.each, strict=True):
-        there = one.held_at(stop)
-        codes.append(there.verdict(scene.rod, state.position, new.position, its))
+        there, before = one.held_at(stop), as_seen(one, stop, state.position, state.time)
+        codes.append(there.verdict(scene.rod, before, new.position, its))
     if scene.contact is not None and found.contact is not None and held is not None:
         deep = overlap.too_near(scene.contact, found.contact, held, new.position)
         codes.append(jnp.where(deep, Result.CONTACT_OVERCOME, Result.SUCCESS))

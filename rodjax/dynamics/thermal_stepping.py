@@ -86,7 +86,8 @@ def _verdicts(scene: Scene, found: Found, before: State, after: State, moved) ->
     codes = []
     for one, its in zip(scene.interactions, found.each, strict=True):
         there = one.held_at(after.time)
-        codes.append(there.verdict(scene.rod, before.position, after.position, its))
+        began = as_seen(one, after.time, before.position, before.time)
+        codes.append(there.verdict(scene.rod, began, after.position, its))
     if scene.contact is not None:
         far = moved > 0.5 * scene.contact.cutoff.astype(moved.dtype)
         codes.append(jnp.where(far, Result.DIFFUSED_TOO_FAR, Result.SUCCESS))

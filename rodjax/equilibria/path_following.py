@@ -188,7 +188,12 @@ def follow(
             ),
             code(driven, Result.DRIVE_TOO_FAST),
             overflow(near_strands(trial, x)),
-            *passages(trial.scene, trial.time, reference[0], trial.motion(x).position),
+            *passages(
+                (scene, when(pick(descent.target, path.reached))),
+                (trial.scene, trial.time),
+                reference[0],
+                trial.motion(x).position,
+            ),
         )
         converged = result == Result.SUCCESS
         least = neutral(scene, trial.force(x))

@@ -4,6 +4,7 @@ import abc
 from typing import Any
 
 import equinox as eqx
+import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from rodjax.inputs.schedules import AbstractSchedule
@@ -102,6 +103,10 @@ class AbstractInteraction(eqx.Module):
         """It as it is at a time, for `safe_fraction` and `verdict`."""
         return self
 
+    def displaced(self, time: Float[Array, ""]) -> Float[Array, "3"] | None:
+        """How far it has itself been moved by then, as a whole [m]; None: it rests."""
+        return None
+
     def find(
         self,
         rod: Rod,
@@ -127,7 +132,10 @@ class AbstractInteraction(eqx.Module):
     def verdict(
         self, rod: Rod, before: Positions, after: Positions, found: Any
     ) -> Int[Array, ""] | None:
-        """The `Result` that a step between these positions has for it; None for success."""
+        """The `Result` that a step between these positions has for it; None for success.
+
+        Of what moves itself they are relative to where it is at the step's end, see `as_seen`.
+        """
         return None
 
     def path_verdict(self, rod: Rod, before: Positions, after: Positions) -> Int[Array, ""] | None:
@@ -141,3 +149,27 @@ class AbstractInteraction(eqx.Module):
     def schedules(self) -> dict[str, AbstractSchedule]:
         """What it prescribes over time, by argument."""
         return {}
+
+
+def as_seen(
+    now: AbstractInteraction,
+    time: Float[Array, ""],
+    position: Positions,
+    since: Float[Array, ""],
+    then: AbstractInteraction | None = None,
+) -> Positions:
+    """Where the nodes were at an earlier time for what stands where it does at `time`.
+
+    So what moves itself sees them come by as much as it goes, and cannot sweep over them unseen.
+
+    Args:
+        now: as it is at `time`.
+        then: as it was `since`; by default the same.
+    """
+    moved = now.displaced(time)
+    before = (now if then is None else then).displaced(since)
+    if moved is None and before is None:
+        return position
+    zero = jnp.zeros_like(position[0])
+    there, here = (zero if shift is None else shift.astype(zero.dtype) for shift in (moved, before))
+    return position + (there - here)[None]

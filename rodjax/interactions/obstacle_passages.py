@@ -23,8 +23,9 @@ from rodjax.numerics.compilation import compiled
 # it is, in radii of the rod. (Not less than nothing: a soft soil may be pressed in so far.)
 _DEEPER = 0.5
 
-# Places between two positions of a point that are looked at for an obstacle in the way.
-_LOOKS = 8
+# Places between two positions of a point that are looked at for an obstacle in the way: at least
+# and at most, and how close to each other where it is near, in radii of the rod.
+_LOOKS, _MOST_LOOKS, _CLOSE = 8, 256, 0.25
 
 # Places along an element's chord that are looked at where it begins and ends its way; then, where
 # something may be between them, places and times closer by the deepest, so often. The distance from
@@ -61,16 +62,69 @@ def passed(
     radius: Float[Array, " points"],
 ) -> Bool[Array, ""]:
     """Whether a point went through an obstacle, or half a diameter into it at once."""
-    parts = jnp.linspace(0.0, 1.0, _LOOKS, dtype=before.dtype)
-    at = lambda part: apart(before + part * (after - before))
-    distances = lax.map(at, parts)
-    outside = jnp.minimum(distances[0], jnp.maximum(distances[-1], 0.0))
-    deepest = jnp.min(distances, 0)
-    return jnp.any((outside >= 0) & (deepest < -radius))
+    return jnp.any((apart(before) >= 0) & (deepest_on_way(apart, before, after, radius) < -radius))
+
+
+def sunk(
+    apart: Callable[[Positions], Float[Array, " points"]],
+    before: Positions,
+    after: Positions,
+    radius: Float[Array, " points"],
+) -> Bool[Array, ""]:
+    """As `passed`, of an obstacle around a convex room."""
+    return jnp.any((apart(before) >= 0) & (apart(after) < -radius))
+
+
+def jumped(
+    distance_and_normal: Distance,
+    before: Positions,
+    after: Positions,
+    radius: Float[Array, " points"],
+) -> Bool[Array, ""]:
+    """Whether an obstacle is between two positions of a point outside it, or the centreline is in
+    it where another side than that it came from is nearer.
+
+    Of equilibria, which may press far into a soft one at once.
+    """
+    look = jax.vmap(distance_and_normal)
+    (first, out), (last, there) = look(before), look(after)
+    deepest = deepest_on_way(lambda at: look(at)[0], before, after, radius)
+    over = (jnp.minimum(first, last) >= 0) & (deepest < -radius)
+    aside = jnp.sum(out * there, 1) < _SEEN
+    return jnp.any(over | ((first >= 0) & (last < 0) & aside))
+
+
+def deepest_on_way(
+    apart: Callable[[Positions], Float[Array, " points"]],
+    before: Positions,
+    after: Positions,
+    radius: Float[Array, " points"],
+) -> Float[Array, " points"]:
+    """The least distance of points on straight ways, found where it is below -radius.
+
+    Where a point is as far as d from the obstacle it is not looked at before it has gone d + radius
+    on: only then can it be so deep.
+    """
+    way = jnp.sqrt(jnp.sum((after - before) ** 2, 1))
+
+    def on(parts, distance):
+        free = jnp.maximum(distance + radius, _CLOSE * radius)
+        ahead = jnp.where(free < way, free / jnp.where(way > 0, way, 1.0), 1.0)
+        return parts + jnp.clip(ahead, 1 / _MOST_LOOKS, 1 / _LOOKS)
+
+    def look(found):
+        parts, deepest = found
+        at = jnp.minimum(parts, 1.0)[:, None]
+        distance = apart(before + at * (after - before))
+        return on(parts, distance), jnp.minimum(deepest, distance)
+
+    first = apart(before)
+    found = on(jnp.zeros_like(first), first), jnp.minimum(first, apart(after))
+    return lax.while_loop(lambda found: jnp.any(found[0] < 1.0), look, found)[1]
 
 
 def came_through(
-    distance_and_normal: Callable[[Float[Array, "3"]], tuple[Array, Array]],
+    distance_and_normal: Distance,
     before: Positions,
     after: Positions,
     radius: Float[Array, " points"],

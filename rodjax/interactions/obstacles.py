@@ -5,7 +5,7 @@ from typing import NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from rodjax.inputs.schedules import AbstractSchedule, Constant, check_schedule
 from rodjax.inputs.validation import (
@@ -27,7 +27,7 @@ from rodjax.interactions.obstacle_touch import ObstacleContact, Touch
 from rodjax.interactions.roles import Role
 from rodjax.interactions.shapes import AbstractShape
 from rodjax.numerics import newton, rotations
-from rodjax.numerics.results import Result, join
+from rodjax.numerics.results import Result
 from rodjax.rods.rod import Rod
 from rodjax.rods.state import NodeMotion
 
@@ -284,6 +284,9 @@ class Obstacle(AbstractLoad):
             return None
         return jnp.sum(exerted[:, :3], 0), self.displacement(time)
 
+    def displaced(self, time):
+        return None if self.displacement is None else self.displacement(time)
+
     def held_at(self, time):
         if self.displacement is None:
             return self
@@ -306,14 +309,17 @@ class Obstacle(AbstractLoad):
         return obstacle_passages.safe_fraction(self._apart, own(position), own(change), radius)
 
     def verdict(self, rod, before, after, found):
-        """Whether a point went through the obstacle, or half a diameter into it at once."""
-        points = self._points(rod)
-        own = lambda rows: points.of_rods(points.at(rows))
-        radius = points.of_rods(points.radius)
-        passed = obstacle_passages.passed(self._apart, own(before), own(after), radius)
-        code = jnp.where(passed, Result.OBSTACLE_PASSED, Result.SUCCESS)
-        between = self.path_verdict(rod, before, after)
-        return code if between is None else join(code, between)
+        """Whether a point went through the obstacle, or half a diameter into it at once, or it
+        came between points.
+        """
+        fixed, rod, before, after = newton.constant((self, rod, before, after))
+        apart = jax.vmap(fixed.shape.distance)
+        if self.shape.convex_room:  # deepest where they are
+            deep = obstacle_passages.sunk(apart, *fixed._of_rods(rod, before, after))
+            return jnp.where(deep, Result.OBSTACLE_PASSED, Result.SUCCESS)
+        passed = obstacle_passages.passed(apart, *fixed._of_rods(rod, before, after))
+        passed = passed | fixed._between(rod, before, after)
+        return jnp.where(passed, Result.OBSTACLE_PASSED, Result.SUCCESS)
 
     def path_verdict(self, rod, before, after):
         """Whether the obstacle came between points, which do not feel it there, or a point came
@@ -322,12 +328,20 @@ class Obstacle(AbstractLoad):
         if self.shape.convex_room:
             return None
         fixed, rod, before, after = newton.constant((self, rod, before, after))
-        points, shift = fixed._points(rod), fixed._shift(before.dtype)[None]
-        before, after = before - shift, after - shift
-        looked = fixed.shape.distance_and_normal
-        between = obstacle_passages.between_points(looked, points, before, after)
-        own = lambda rows: points.of_rods(points.at(rows))
-        radius = points.of_rods(points.radius)
-        through = obstacle_passages.came_through(looked, own(before), own(after), radius)
-        passed = jnp.any(between.lacking < 0) | through
+        looked = fixed.shape.distance_and_normal, *fixed._of_rods(rod, before, after)
+        passed = obstacle_passages.jumped(*looked) | fixed._between(rod, before, after)
         return jnp.where(passed, Result.OBSTACLE_PASSED, Result.SUCCESS)
+
+    def _of_rods(self, rod: Rod, before, after):
+        """Where points come from and go to, as it sees them, and their radii."""
+        points, shift = self._points(rod), self._shift(before.dtype)[None]
+        own = lambda rows: points.of_rods(points.at(rows - shift))
+        return own(before), own(after), points.of_rods(points.radius)
+
+    def _between(self, rod: Rod, before, after) -> Bool[Array, ""]:
+        """Whether it is between points, or one that touches it came to another side of it."""
+        looked, shift = self.shape.distance_and_normal, self._shift(before.dtype)[None]
+        points = self._points(rod), before - shift, after - shift
+        between = obstacle_passages.between_points(looked, *points)
+        through = obstacle_passages.came_through(looked, *self._of_rods(rod, before, after))
+        return jnp.any(between.lacking < 0) | through
