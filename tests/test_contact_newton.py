@@ -80,7 +80,10 @@ def test_a_strip_is_solved_as_a_dense_system(bent, monkeypatch):
 @pytest.mark.parametrize("width", [3, 6])
 def test_pairs_are_summed_at_nodes_as_by_way_of_vertices(bent, width, monkeypatch):
     """Of a grid coarser than the segments, for any number of pairs in use and any capacity."""
-    scene, _, (sites, pairs) = bent
+    scene, state, _ = bent
+    # pairs that may come near in a wild motion: more than are summed at once
+    wild = 0.2 * np.random.default_rng(2).normal(size=state.position.shape)
+    sites, pairs = scene.find_contact(state.position, jnp.asarray(wild))
     values = np.random.default_rng(3).normal(size=(len(pairs.first), 4, 4, width, width))
     assert int(pairs.count) > dense_elimination._TOGETHER
     nothing = jnp.zeros((15, 9, width))
@@ -104,7 +107,9 @@ def test_batches_of_right_sides_and_of_systems(bent):
     """Lanes in contact and out of it, by the solver of their own."""
     scene, state, _ = bent
     along = jnp.concatenate([jnp.zeros(1), jnp.cumsum(scene.rod.length)])
-    apart = dataclasses.replace(state, position=along[:, None] * jnp.asarray([[0.0, 0.0, 1.0]]))
+    straight = jnp.zeros_like(state.quaternion).at[:, 0].set(1.0)
+    line = along[:, None] * jnp.asarray([[0.0, 0.0, 1.0]])
+    apart = dataclasses.replace(state, position=line, quaternion=straight)
     both = jax.tree.map(lambda *leaves: jnp.stack(leaves), state, apart)
     right = jnp.asarray(np.random.default_rng(1).normal(size=(2, state.position.shape[0], 9)))
 
@@ -122,7 +127,7 @@ def test_batches_of_right_sides_and_of_systems(bent):
         return tried.iterate(tried.guess(state.force), jnp.asarray(1e-11), jnp.asarray(2))
 
     def close(found, expected):
-        # the rod apart is drawn straight, its frames still bent: its nodes move by many elements
+        # the rod apart is drawn straight, and springs back: its nodes move by many elements
         largest = max(1.0, float(jnp.max(jnp.abs(expected))))
         np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-12 * largest)
 
@@ -166,11 +171,13 @@ def test_a_held_derivative_leads_to_the_same_motion(bent):
 def test_every_size_of_solver_gives_the_same_increment(bent):
     scene, state, near = bent
     found = []
-    apart = dataclasses.replace(scene.contact, exclusion=jnp.asarray(0.45))
+    apart = dataclasses.replace(scene.contact, exclusion=jnp.asarray(0.4))
+    # far enough that some pairs are listed, and few
+    wild = jnp.zeros_like(state.position).at[:3].set(0.03)
     for sizes in ((21,), (4, 18, 21)):
         contact = dataclasses.replace(apart, capacities=sizes)
         same = eqx.tree_at(lambda s: s.contact, scene, contact)
-        near = same.find_contact(state.position, 1e-3 * state.velocity)
+        near = same.find_contact(state.position, wild)
         assert int(near.pairs.capacity) == len(sizes) - (len(sizes) > 1)
         equations = step_equations(
             same, state, jnp.asarray(1e-3), jnp.asarray(0.8), Found((), near)

@@ -1,6 +1,7 @@
 """Equations of a rod by any scheme: balance, constraint and ends, and their Newton system."""
 
 from collections.abc import Callable
+from functools import partial
 from typing import Generic, NamedTuple, TypeVar
 
 import equinox as eqx
@@ -268,7 +269,8 @@ class Equations(eqx.Module, Generic[Scheme]):
 
     def first_duals(self, x) -> tuple:
         """What friction's derivative begins with."""
-        return self._duals(x, lambda one: one.first_dual)
+        begun = self.scheme.beginning()
+        return self._duals(x, lambda one: partial(one.first_dual, before=begun))
 
     def with_duals(self, duals: tuple) -> "Equations[Scheme]":
         """The equations whose derivative is that of these duals."""

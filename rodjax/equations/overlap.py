@@ -28,6 +28,7 @@ from rodjax.interactions.self_contact import FoundContact
 from rodjax.interactions.sites import Sites, along, interpolate, sites_of
 from rodjax.numerics import newton
 from rodjax.numerics.batching import only_where
+from rodjax.numerics.closest import closest
 from rodjax.numerics.compilation import compiled
 from rodjax.rods.state import State
 from rodjax.scenes.scene import Scene
@@ -104,7 +105,7 @@ def _between(xp, vertices, a, b, sites: Sites, contact: Contact) -> _Between:
     """Of the segments a and b, by numpy or jax.numpy."""
     spacing = xp.broadcast_to(sites.spacing, sites.arc_length.shape[:1])
     begin, length = sites.arc_length[:, 0] - 0.5 * spacing, spacing * contact.points_per_segment
-    u, v, distance = _closest(xp, *(x for i in (a, b) for x in (vertices[i], vertices[i + 1])))
+    u, v, distance = closest(xp, *(x for i in (a, b) for x in (vertices[i], vertices[i + 1])))
     first, second = begin[a] + u * length[a], begin[b] + v * length[b]
     return _Between(first, second, along(sites, first, second, xp), distance)
 
@@ -152,20 +153,6 @@ def deepest(scene: Scene, position) -> Overlap | None:
     diameter = np.mean(sites.diameter[[a[i], b[i]]])
     return Overlap(*map(float, (found.first[i], found.second[i], found.distance[i], limit[i],
                                 diameter)))  # fmt: skip
-
-
-def _closest(xp, p, to_p, q, to_q):
-    """Where the segments from p and q are nearest, as parts of them, and their distance."""
-    d, e, r = to_p - p, to_q - q, p - q
-    dot = lambda x, y: xp.sum(x * y, 1)
-    dd, de, ee = dot(d, d), dot(d, e), dot(e, e)
-    determinant = dd * ee - de**2
-    skew = determinant > 1e-12 * dd * ee
-    u = xp.where(skew, de * dot(e, r) - ee * dot(d, r), 0.0) / xp.where(skew, determinant, 1.0)
-    v = (de * xp.clip(u, 0.0, 1.0) + dot(e, r)) / ee
-    v = xp.clip(v, 0.0, 1.0)
-    u = xp.clip((de * v - dot(d, r)) / dd, 0.0, 1.0)
-    return u, v, xp.sqrt(xp.sum((r + u[:, None] * d - v[:, None] * e) ** 2, 1))
 
 
 def _known(scene: Scene, state: State) -> bool:

@@ -17,7 +17,7 @@ from rodjax.equations.generalized_alpha import Coefficients, advance, predicted_
 from rodjax.numerics import rotations
 from rodjax.rods.balance import Internal
 from rodjax.rods.rod import Rod
-from rodjax.rods.state import State
+from rodjax.rods.state import NodeMotion, State, node_motion
 
 Change = Float[Array, "nodes 6"]
 Reference = tuple[Float[Array, "nodes 3"], Float[Array, "nodes 4"]]
@@ -37,6 +37,10 @@ class AbstractScheme(eqx.Module):
     @abc.abstractmethod
     def origin(self) -> Reference:
         """Positions and frames of the nodes that increments count from."""
+
+    @abc.abstractmethod
+    def beginning(self) -> NodeMotion | None:
+        """The motion that it begins from; None at rest."""
 
     @abc.abstractmethod
     def expected(self) -> Change:
@@ -90,6 +94,9 @@ class Step(AbstractScheme):
     def origin(self):
         return self.state.position, self.state.quaternion
 
+    def beginning(self):
+        return node_motion(self.state)
+
     def advanced(self, change: Change) -> tuple[Change, Change, Change]:
         """Rates, accelerations and algorithmic accelerations at the step's end."""
         old = self.state.rate, self.state.acceleration, self.state.auxiliary
@@ -139,6 +146,9 @@ class FromReference(AbstractScheme):
 
     def origin(self):
         return self.reference
+
+    def beginning(self):
+        return None
 
     def expected(self):
         zero = jnp.zeros_like(self.reference[0])

@@ -32,6 +32,9 @@ if TYPE_CHECKING:
 # Steps in the slowest period: what passes through equilibria, and motion that is itself wanted.
 _STEPS_AT_REST, _STEPS_IN_MOTION = 20, 1600
 
+# Newton's tolerance where steps are chosen by their error, far below that.
+_TOLERANCE = 1e-7
+
 # Spectral radii at infinite step, of the same.
 _AT_REST, _IN_MOTION = 0.0, 0.9
 
@@ -140,7 +143,8 @@ class CosseratSolver:
         """The run, every frame among its states."""
         from cosseratbench.solver import Diverged
 
-        method, until = GeneralizedAlpha(_radius(scenario)), scenario.duration
+        until, tolerance = scenario.duration, _TOLERANCE if touching(scenario) else None
+        method = GeneralizedAlpha(_radius(scenario), tolerance)
         times = np.linspace(0.0, until, (frames - 1) * steps + 1)[1:]
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", ModelWarning)  # the benchmark looks at the motion

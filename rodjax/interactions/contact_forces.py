@@ -1,5 +1,6 @@
 """Contact forces: the law summed over the points of near pairs of segments, and its derivative."""
 
+from collections.abc import Callable
 from functools import partial
 from typing import NamedTuple
 
@@ -11,7 +12,7 @@ from jaxtyping import Array, Bool, Float
 
 from rodjax.interactions import strand_friction
 from rodjax.interactions.contact import Contact
-from rodjax.interactions.friction import Dual
+from rodjax.interactions.friction import Dual, continued
 from rodjax.interactions.pair_points import Points, blocks_of, points_of, vertices_of
 from rodjax.interactions.screening import BLOCK, NearPairs
 from rodjax.interactions.sites import Sites, interpolate, spread
@@ -277,33 +278,64 @@ def gather(pairs: NearPairs, force: Float[Array, "q 4 w"], vertices: int) -> Flo
     return jnp.zeros((vertices, force.shape[2]), force.dtype).at[index].add(force)
 
 
-def duals(
-    contact: Contact, sites: Sites, pairs: NearPairs, motion: NodeMotion, first: bool
+def first_duals(
+    contact: Contact,
+    sites: Sites,
+    pairs: NearPairs,
+    motion: NodeMotion,
+    before: NodeMotion | None,
 ) -> Dual:
-    """The duals that Newton's iterations begin with, or that follow those of the contact.
+    """The duals that Newton's iterations begin with, block by block of the pairs.
 
-    Of the pairs of points, block by block, see `AbstractFriction.dual`.
+    With the motion that a step begins from, `friction.continued`.
     """
-    vertices, rates = (interpolate(sites, x) for x in (motion.position, rates_of(contact, motion)))
-    friction, count = contact.friction, contact.points_per_segment
+    rows, friction = blocks_of(pairs), contact.friction
     assert friction is not None
-    rows = (*blocks_of(pairs), contact.dual)
+    motions = [one for one in (before, motion) if one is not None]
+    loads = [_loads(contact, sites, pairs, one) for one in motions]
 
     def of(row):
-        place, index, before = row
-        points = points_of(contact, sites, pairs, vertices, rates, (place, index))
-        p = jnp.where(points.acts, points.magnitude(contact, *points.inputs), 0.0)
-        if first:
-            return strand_friction.first_dual(friction, p, points.passing)
-        return strand_friction.next_dual(friction, before, p, points.passing)
+        found = [strand_friction.first_dual(friction, *load(row)) for load in loads]
+        return found[0] if len(found) == 1 else continued(*found)
 
     def body(i, found):
         now = of(jax.tree.map(lambda leaf: leaf[i], rows))
         return jax.tree.map(lambda buffer, value: buffer.at[i].set(value), found, now)
 
-    zeros = lambda *shape: jnp.zeros((len(rows[0]), BLOCK * count**2, *shape), vertices.dtype)
-    nothing = Dual(zeros(3), zeros(3), zeros(1))
-    return lax.fori_loop(0, (pairs.count + BLOCK - 1) // BLOCK, body, nothing)
+    count, dtype = contact.points_per_segment, motion.position.dtype
+    zeros = lambda *shape: jnp.zeros((len(rows[0]), BLOCK * count**2, *shape), dtype)
+    return _of_blocks(pairs, body, Dual(zeros(3), zeros(3), zeros(1)))
+
+
+def next_duals(contact: Contact, sites: Sites, pairs: NearPairs, motion: NodeMotion) -> Dual:
+    """Those that follow the duals of the contact."""
+    rows, friction, load = blocks_of(pairs), contact.friction, _loads(contact, sites, pairs, motion)
+    assert friction is not None
+
+    def body(i, found):
+        row, before = (jax.tree.map(lambda leaf: leaf[i], x) for x in (rows, found))
+        now = strand_friction.next_dual(friction, before, *load(row))
+        return jax.tree.map(lambda buffer, value: buffer.at[i].set(value), found, now)
+
+    # in the place of those before, as room for all takes long to clear; what is not in use is zero
+    return _of_blocks(pairs, body, contact.dual)
+
+
+def _of_blocks(pairs: NearPairs, body: Callable, begun: Dual) -> Dual:
+    """What a loop over the blocks in use makes of the duals."""
+    return lax.fori_loop(0, (pairs.count + BLOCK - 1) // BLOCK, body, begun)
+
+
+def _loads(contact: Contact, sites: Sites, pairs: NearPairs, motion: NodeMotion) -> Callable:
+    """What presses on each other in a block, and how it passes."""
+    vertices, rates = (interpolate(sites, x) for x in (motion.position, rates_of(contact, motion)))
+
+    def load(row):
+        points = points_of(contact, sites, pairs, vertices, rates, row)
+        p = jnp.where(points.acts, points.magnitude(contact, *points.inputs), 0.0)
+        return p, points.passing
+
+    return load
 
 
 def rates_of(contact: Contact, motion: NodeMotion) -> Float[Array, "nodes w"]:

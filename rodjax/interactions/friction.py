@@ -142,6 +142,15 @@ def _within(most: Float[Array, "nodes 1"], dual: Float[Array, "nodes 3"]):
     return jnp.where(beyond, most / jnp.where(beyond, length, 1.0), 1.0) * dual
 
 
+def continued(before: Dual, here: Dual) -> Dual:
+    """The first dual of a step: the traction that the last ended with, within the limit of here.
+
+    What sticks and what slides is mostly what did, and not what a motion without forces would tell:
+    a fourth to a third fewer iterations where strands are heaped up.
+    """
+    return here._replace(estimate=_within(here.limit, before.estimate))
+
+
 class Friction(AbstractFriction):
     """Coulomb friction with an elastic stick: what is to hold does hold, without creep.
 

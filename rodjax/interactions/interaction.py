@@ -78,8 +78,13 @@ class AbstractInteraction(eqx.Module):
         """Whether Newton's method needs a dual of it, see `AbstractFriction.dual`."""
         return False
 
-    def first_dual(self, rod: Rod, motion: NodeMotion, found: Any) -> Any:
-        """The dual that iterations begin with, for the field `dual`."""
+    def first_dual(
+        self, rod: Rod, motion: NodeMotion, found: Any, before: NodeMotion | None
+    ) -> Any:
+        """The dual that iterations begin with at this motion, for the field `dual`.
+
+        `before` is the motion that a step begins from, of which more is known; None at rest.
+        """
         return None
 
     def next_dual(self, rod: Rod, motion: NodeMotion, found: Any) -> Any:

@@ -21,7 +21,7 @@ from rodjax.inputs.validation import (
 )
 from rodjax.interactions import obstacle_passages
 from rodjax.interactions.element_points import ElementPoints
-from rodjax.interactions.friction import AbstractFriction, Dual, Rubbing
+from rodjax.interactions.friction import AbstractFriction, Dual, Rubbing, continued
 from rodjax.interactions.load import AbstractLoad
 from rodjax.interactions.obstacle_touch import ObstacleContact, Touch
 from rodjax.interactions.roles import Role
@@ -266,10 +266,11 @@ class Obstacle(AbstractLoad):
     def rubs(self):
         return self.friction is not None
 
-    def first_dual(self, rod, motion, found):
+    def first_dual(self, rod, motion, found, before):
         if self.friction is None:
             return None
-        return self.friction.dual(self.touch(rod, motion).rubbing)
+        dual = lambda motion: self.friction.dual(self.touch(rod, motion).rubbing)
+        return dual(motion) if before is None else continued(dual(before), dual(motion))
 
     def next_dual(self, rod, motion, found):
         if self.friction is None or self.dual is None:

@@ -4,6 +4,7 @@ The search runs once a step, on the motion predicted for it; its list of pairs i
 that Newton's equations are smooth.
 """
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import jax.numpy as jnp
@@ -19,6 +20,7 @@ from rodjax.interactions.contact_laws import PairProperties
 from rodjax.interactions.sites import Sites, along, around_of, interpolate
 from rodjax.numerics import newton
 from rodjax.numerics.batching import largest, only_where
+from rodjax.numerics.closest import closest
 
 
 class NearPairs(NamedTuple):
@@ -100,11 +102,23 @@ def search(
         near = near & inside([chord[:, None, k] for k in range(3)])
         return near & inside([chord[None, :, k] for k in range(3)])
 
+    def touching(first, second):
+        """Which of listed pairs are near with their chords, not with their middles alone."""
+        ends = [(vertices[index], vertices[index + 1]) for index in (first, second)]
+        distance = closest(jnp, *ends[0], *ends[1])[2]
+        if displaced is None:
+            return distance < contact.cutoff
+        one, other = (
+            jnp.stack([displaced[index], displaced[index + 1]], 1) for index in (first, second)
+        )
+        apart = jnp.sum((one[:, :, None] - other[:, None, :]) ** 2, 3)
+        return distance < contact.cutoff + 1.5 * jnp.sqrt(jnp.max(apart, (1, 2)))
+
     def some():
-        return _listed(reached(), sizes, sites, position.shape[0])
+        return _listed(reached(), sizes, sites, position.shape[0], touching)
 
     def none():
-        return _listed(None, sizes, sites, position.shape[0])
+        return _listed(None, sizes, sites, position.shape[0], touching)
 
     # most steps end here: nothing within the widest reach of all
     slack = jnp.zeros_like(half)
@@ -176,8 +190,10 @@ def _of_one_rod(idle: Bool[np.ndarray, " g"]) -> Bool[Array, "g g"]:
     return jnp.asarray(rod[:, None] == rod[None, :])
 
 
-def _listed(near: Bool[Array, "g g"] | None, sizes, sites: Sites, nodes: int) -> NearPairs:
-    """The list of the near pairs, or of none, and what they involve."""
+def _listed(
+    near: Bool[Array, "g g"] | None, sizes, sites: Sites, nodes: int, touching: Callable
+) -> NearPairs:
+    """The list of the near pairs that are `touching`, or of none, and what they involve."""
     room, vertices = sizes[-1].pairs, sites.weight.shape[0]
     fronts = [index for index, size in enumerate(sizes) if size.front is not None]
     no_graph = contact_graph.nothing(room, nodes) if fronts else None
@@ -190,10 +206,16 @@ def _listed(near: Bool[Array, "g g"] | None, sizes, sites: Sites, nodes: int) ->
     first, second = (
         index.astype(jnp.int32) for index in jnp.nonzero(near, size=room, fill_value=0)
     )
-    count = jnp.sum(near).astype(jnp.int32)
-    segments = jnp.any(near, 0) | jnp.any(near, 1)
-    involved = jnp.zeros((vertices,), bool).at[:-1].set(segments)
-    involved = involved | jnp.roll(involved, 1)
+    before = jnp.sum(near).astype(jnp.int32)
+    number = jnp.arange(room, dtype=jnp.int32)
+    kept = touching(first, second) & (number < before)
+    place, _, count = _first(kept)
+    first, second = (jnp.where(number < count, index[place], 0) for index in (first, second))
+    at = jnp.where(number < count, first, vertices), jnp.where(number < count, second, vertices)
+    involved = jnp.zeros((vertices,), bool)
+    for segment in at:
+        involved = involved.at[segment].set(True, mode="drop")
+        involved = involved.at[segment + 1].set(True, mode="drop")
     order, rank, involving = _first(involved)
     holds = lambda numbers: jnp.asarray(numbers, jnp.int32)
     fits = (involving <= holds([size.vertices for size in sizes])) & (
@@ -216,7 +238,7 @@ def _listed(near: Bool[Array, "g g"] | None, sizes, sites: Sites, nodes: int) ->
         yes = jnp.asarray(True)
         wide = [yes if size.front is None else graph.fits(size.front) for size in sizes]
         fits = fits & jnp.stack(wide)
-    overflow = ~jnp.any(fits)
+    overflow = ~jnp.any(fits) | (before > room)
     capacity = jnp.where(overflow, len(sizes), jnp.argmax(fits) + 1)
     capacity = jnp.where(count == 0, 0, capacity).astype(jnp.int32)
     count = jnp.minimum(count, room)

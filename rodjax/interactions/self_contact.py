@@ -70,15 +70,15 @@ class SelfContact(AbstractInteraction):
     def rubs(self):
         return self.contact.friction is not None
 
-    def first_dual(self, rod, motion, found: FoundContact):
+    def first_dual(self, rod, motion, found: FoundContact, before):
         if self.contact.friction is None:
             return None
-        return contact_forces.duals(self.contact, *found, motion, first=True)
+        return contact_forces.first_duals(self.contact, *found, motion, before)
 
     def next_dual(self, rod, motion, found: FoundContact):
         if self.contact.friction is None:
             return None
-        return contact_forces.duals(self.contact, *found, motion, first=False)
+        return contact_forces.next_duals(self.contact, *found, motion)
 
     def verdict(self, rod, before, after, found: FoundContact):
         passed = screening.passage_suspected(*found, before, after)
