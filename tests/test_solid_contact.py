@@ -331,3 +331,25 @@ def test_adaptive_steps_end_before_strands_overlap_too_far(overcome):
     kept = failure.value.partial.final
     assert 0.2 < float(kept.time) < 0.9
     assert overlap.deepest(scene, kept.position) is None
+
+
+def test_a_scene_of_more_rods_has_more_segments_of_the_same_length():
+    section = rx.circular_section(0.02, 1e6, 0.4e6, density=1500.0)
+    rods = [
+        rx.straight_rod(length, 10, section, origin=(0.1 * i, 0, 0))
+        for i, length in enumerate((1.0, 0.6, 1.0))
+    ]
+    contact = rx.Contact.solid(rods[0], 20.0)
+    assert rx.Scene(rods[0], contact=contact).contact.segments == contact.segments
+    several = rx.Scene(rods=tuple(rods), contact=contact)
+    assert several.contact.shares == tuple(
+        round(contact.segments * length) for length in (1.0, 0.6, 1.0)
+    )
+    # laid out once: a scene made of it has no more
+    again = dataclasses.replace(several, loads=(rx.Gravity((0, 0, -9.81)),))
+    assert again.contact.segments == several.contact.segments
+    # numbers of your own are for the rod that they were chosen on
+    own = dataclasses.replace(contact, segments=20, points_per_segment=24)
+    assert rx.Scene(rods=tuple(rods), contact=own).contact.shares == (20, 12, 20)
+    fixed = dataclasses.replace(contact, laid_on=None)
+    assert sum(rx.Scene(rods=tuple(rods), contact=fixed).contact.shares) in (57, 58, 59)

@@ -23,6 +23,17 @@ def test_knot_in_short_mode(tmp_path):
 
 
 @pytest.mark.slow
+def test_pile_in_short_mode(tmp_path):
+    run_experiment("pile.py", "--quick", "--out", str(tmp_path))
+    summary = json.loads((tmp_path / "summary.json").read_text())
+    assert summary["result"] == "SUCCESS" and summary["reached"] == 0.1
+    assert summary["ledger_open"] < 0.03
+    # the lower layer lies on the floor, the upper on it
+    assert 1.2 < summary["height"] < 2.6
+    assert (tmp_path / "pile.png").exists()
+
+
+@pytest.mark.slow
 def test_hockle_in_short_mode(tmp_path):
     run_experiment("hockle.py", "--quick", "--out", str(tmp_path))
     summary = json.loads((tmp_path / "summary.json").read_text())

@@ -12,6 +12,7 @@ from rodjax.dynamics.bath import Bath
 from rodjax.dynamics.explicit_thermal import explicit
 from rodjax.dynamics.midpoint_thermal import midpoint
 from rodjax.dynamics.thermal_state import ThermalState, ThermalStepInfo, elastic_force
+from rodjax.interactions.interaction import as_seen
 from rodjax.numerics import newton, rotations
 from rodjax.numerics.results import Result, join
 from rodjax.rods.state import State

@@ -61,6 +61,8 @@ class Contact(eqx.Module):
             what two strands side by side need, by the rod of the scene; 4 where its length or the
             cut-off is not known, as in traced code.
         friction: of the strands' surfaces, `SlidingFriction`; None: they are smooth.
+        laid_on: length of rod that the segments are for [m]: a scene whose rods are longer in all
+            has as many more, of the same length; None: so many whatever the length.
         listed, shares: set by the scene, see `fitted`.
         rings: set by the scene, which of several rods are closed; None: none of them.
         dual: set by the equations of a step, see `AbstractFriction.dual`.
@@ -81,6 +83,7 @@ class Contact(eqx.Module):
     capacities: tuple[int, ...] | None = eqx.field(static=True, default=None)
     pairs_per_segment: int | None = eqx.field(static=True, default=None)
     friction: AbstractFriction | None = None
+    laid_on: float | None = eqx.field(static=True, default=None, repr=False)
     listed: int | None = eqx.field(static=True, default=None, repr=False)
     shares: tuple[int, ...] | None = eqx.field(static=True, default=None, repr=False)
     rings: tuple[bool, ...] | None = eqx.field(static=True, default=None, repr=False)
@@ -142,13 +145,14 @@ class Contact(eqx.Module):
         """Contact of solid strands of the rod's diameter D, from the load that it must carry.
 
         Args:
-            rod: with a diameter; its length and diameters must be known (not traced).
+            rod: with a diameter; its length and diameters must be known (not traced). Of several
+                alike any one; a scene gives all of them segments of the same length.
             force: largest force expected between two strands [N].
             indentation: how far strands that cross at right angles under this force come into each
                 other [D], at most 0.2. Less is stiffer, and asks for more points.
             relaxation: damping of the contact, see `Penalty` [s].
             friction: of the strands' surfaces.
-            segments: how many; default: of eight points each.
+            segments: how many on this rod; default: of eight points each.
             capacities: see `Contact`; where few strands touch one small size compiles faster.
 
         The law is a `Penalty` whose stiffness k follows from the force F between crossing strands
@@ -196,7 +200,7 @@ class Contact(eqx.Module):
         law = Penalty(3 * as_float(force) / size, softness=indentation, relaxation=relaxation)
         cutoff = 1.1 * float(thick)
         chosen = {"friction": friction, "capacities": capacities}
-        return cls(law, segments, cutoff, points_per_segment=points, **chosen)
+        return cls(law, segments, cutoff, points_per_segment=points, laid_on=length, **chosen)
 
     def check(self, rod: Rod) -> None:
         """Raise ValueError where the rod lacks what contact needs."""
@@ -226,17 +230,30 @@ class Contact(eqx.Module):
             )
 
     def fitted(self, rod: Rod) -> "Contact":
-        """The contact with room for the near pairs of its rod (`listed`), where that is known, and
-        with its segments shared out to several rods (`shares`; by elements if lengths are traced).
+        """The contact with room for the near pairs of its rod (`listed`), where that is known,
+        with as many segments as the rods are longer than that it was laid out on (`laid_on`), and
+        with these shared out to several rods (`shares`; by elements if lengths are traced).
 
         `Scene` sees to it. Less room than is needed shows as `CAPACITY_OVERFLOW`.
         """
         known_parts = known(rod.length) and all(
             x is None or known(x) for x in (self.cutoff, self.aperture)
         )
-        shares = _shared_out(self.segments, rod) if rod.breaks else None
-        listed = max(4, self._partners(rod)) if known_parts else self.listed
-        return dataclasses.replace(self, listed=listed, shares=shares)
+        one = self._extended(rod)
+        shares = _shared_out(one.segments, rod) if rod.breaks else None
+        listed = max(4, one._partners(rod)) if known_parts else one.listed
+        return dataclasses.replace(one, listed=listed, shares=shares)
+
+    def _extended(self, rod: Rod) -> "Contact":
+        """With more segments where the rods are longer than what it was laid out on."""
+        if self.laid_on is None or not known(rod.length):
+            return self
+        solid = np.delete(np.asarray(rod.length), list(rod.breaks), axis=-1)
+        length = float(np.max(np.sum(solid, -1)))
+        if length <= self.laid_on * (1 + 1e-6):
+            return self
+        segments = int(np.ceil(self.segments * length / self.laid_on * (1 - 1e-9)))
+        return dataclasses.replace(self, segments=segments, laid_on=length)
 
     @property
     def width(self) -> int:

@@ -310,7 +310,7 @@ def first_duals(
 def next_duals(contact: Contact, sites: Sites, pairs: NearPairs, motion: NodeMotion) -> Dual:
     """Those that follow the duals of the contact."""
     rows, friction, load = blocks_of(pairs), contact.friction, _loads(contact, sites, pairs, motion)
-    assert friction is not None
+    assert friction is not None and contact.dual is not None
 
     def body(i, found):
         row, before = (jax.tree.map(lambda leaf: leaf[i], x) for x in (rows, found))

@@ -267,9 +267,10 @@ class Obstacle(AbstractLoad):
         return self.friction is not None
 
     def first_dual(self, rod, motion, found, before):
-        if self.friction is None:
+        friction = self.friction
+        if friction is None:
             return None
-        dual = lambda motion: self.friction.dual(self.touch(rod, motion).rubbing)
+        dual = lambda motion: friction.dual(self.touch(rod, motion).rubbing)
         return dual(motion) if before is None else continued(dual(before), dual(motion))
 
     def next_dual(self, rod, motion, found):
