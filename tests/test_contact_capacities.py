@@ -20,7 +20,7 @@ def heap(rods, elements, friction=None):
         origin = np.array([0.0, 0.0, 4.9e-3 * i]) - 0.25 * along
         placed.append(rx.straight_rod(0.5, elements, SECTION, direction=along, origin=origin))
     contact = rx.Contact.solid(
-        placed[0], 1.0, indentation=0.1, friction=friction, segments=rods * elements
+        placed[0], 1.0, indentation=0.1, friction=friction, segments=elements
     )
     return rx.Scene(rods=tuple(placed), contact=contact)
 
