@@ -351,5 +351,10 @@ def test_a_scene_of_more_rods_has_more_segments_of_the_same_length():
     # numbers of your own are for the rod that they were chosen on
     own = dataclasses.replace(contact, segments=20, points_per_segment=24)
     assert rx.Scene(rods=tuple(rods), contact=own).contact.shares == (20, 12, 20)
+    # what is thinner needs points as much closer
+    thin = dataclasses.replace(rods[1], diameter=0.5 * rods[1].diameter)
+    assert sum(rx.Scene(rods=(rods[0], thin), contact=contact).contact.shares) == round(
+        2 * 1.6 * contact.segments
+    )
     fixed = dataclasses.replace(contact, laid_on=None)
     assert sum(rx.Scene(rods=tuple(rods), contact=fixed).contact.shares) in (57, 58, 59)

@@ -154,7 +154,12 @@ def arc_step(
     driven = jnp.where(
         driven_far(family, place, parameter, p), Result.DRIVE_TOO_FAST, Result.SUCCESS
     )
-    passed = passages(family.at(parameter), family.at(p), place.position, new.position)
+    passed = passages(
+        lambda: family.at(parameter),
+        (equations.scene, equations.time),
+        place.position,
+        new.position,
+    )
     far = jnp.sum(weight * (x - first) ** 2) + ((p - p_first) / unit) ** 2
     tangent = end.tangent
     length = jnp.sqrt(jnp.sum(weight * tangent.x**2) + tangent.parameter**2)

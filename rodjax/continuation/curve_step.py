@@ -154,7 +154,7 @@ def curve_step(
     driven = driven_far(family, place, start.parameters, end.parameters)
     driven = jnp.where(driven, Result.DRIVE_TOO_FAST, 0)
     crowded = overflow(family.pairs(end.parameters, end.place, x))
-    then = family.at(start.parameters)
+    then = lambda: family.at(start.parameters)
     passed = passages(then, (scene, time), place.position, end.place.position)
     result = results.join(result, astray, driven, crowded, *passed)
     return CurveStep(point, result, end.corrected, inner(*tangent), end.iterations)

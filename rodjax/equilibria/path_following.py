@@ -189,7 +189,7 @@ def follow(
             code(driven, Result.DRIVE_TOO_FAST),
             overflow(near_strands(trial, x)),
             *passages(
-                (scene, when(pick(descent.target, path.reached))),
+                lambda: (scene, when(pick(descent.target, path.reached))),
                 (trial.scene, trial.time),
                 reference[0],
                 trial.motion(x).position,

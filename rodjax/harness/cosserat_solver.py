@@ -121,8 +121,7 @@ class CosseratSolver:
     def _steps_per_frame(self, scenario: Any, elements: int, frames: int) -> int:
         """How many steps a frame takes, where they are chosen at least."""
         wanted = _STEPS_AT_REST if scenario.quasi_static else _STEPS_IN_MOTION
-        inertia = settings_of(scenario).inertia
-        period = 2 * math.pi * math.sqrt(inertia) / scenario.slowest_frequency()
+        period = 2 * math.pi / settings_of(scenario).slowest
         longest = self.time_step_scale * period / wanted
         steps = max(math.ceil(scenario.duration / (frames - 1) / longest * (1 - 1e-9)), 1)
         # on the coarser grid there are as many times fewer

@@ -4,6 +4,7 @@ A scenario is read by the names of its fields alone, so nothing here needs that 
 """
 
 import dataclasses
+import math
 from typing import Any
 
 import jax.numpy as jnp
@@ -35,6 +36,7 @@ class Settings:
     Attributes:
         inertia: what is kept of mass and rotary inertia; weights stay whole. Where equilibria are
             wanted and nothing touches less is kept: what is left moves, and rests, sooner.
+        slowest: frequency of the slowest motion with that inertia [rad/s].
         damping_rate: of all motion, by its momentum; 0 for none [1/s].
         force: largest that contact is expected to carry [N].
         sink: how far what touches sinks in under it, in radii.
@@ -42,6 +44,7 @@ class Settings:
     """
 
     inertia: float
+    slowest: float
     damping_rate: float
     force: float
     sink: float
@@ -57,10 +60,10 @@ def settings_of(scenario: Any, sink: float = 0.05) -> Settings:
         rod.material.youngs_modulus * rod.second_moment_of_area / rod.length**2 for rod in rods
     )
     inertia = _INERTIA_AT_REST if scenario.quasi_static and not touching(scenario) else 1.0
-    slowest = scenario.slowest_frequency() / np.sqrt(inertia)
+    slowest = scenario.slowest_frequency() / math.sqrt(inertia)
     rate = 2.0 * slowest if scenario.quasi_static else 0.0
     shortest = min(rod.length for rod in rods)
-    return Settings(inertia, rate, max(weight, loads, bending), sink, 1e-4 * shortest)
+    return Settings(inertia, slowest, rate, max(weight, loads, bending), sink, 1e-4 * shortest)
 
 
 def touching(scenario: Any) -> bool:

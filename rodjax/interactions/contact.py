@@ -61,8 +61,8 @@ class Contact(eqx.Module):
             what two strands side by side need, by the rod of the scene; 4 where its length or the
             cut-off is not known, as in traced code.
         friction: of the strands' surfaces, `SlidingFriction`; None: they are smooth.
-        laid_on: length of rod that the segments are for [m]: a scene whose rods are longer in all
-            has as many more, of the same length; None: so many whatever the length.
+        laid_on: length and least diameter of the rod that the segments are for [m]: a scene whose
+            rods are longer in all, or thinner, has as many more; None: so many whatever they are.
         listed, shares: set by the scene, see `fitted`.
         rings: set by the scene, which of several rods are closed; None: none of them.
         dual: set by the equations of a step, see `AbstractFriction.dual`.
@@ -83,7 +83,7 @@ class Contact(eqx.Module):
     capacities: tuple[int, ...] | None = eqx.field(static=True, default=None)
     pairs_per_segment: int | None = eqx.field(static=True, default=None)
     friction: AbstractFriction | None = None
-    laid_on: float | None = eqx.field(static=True, default=None, repr=False)
+    laid_on: tuple[float, float] | None = eqx.field(static=True, default=None, repr=False)
     listed: int | None = eqx.field(static=True, default=None, repr=False)
     shares: tuple[int, ...] | None = eqx.field(static=True, default=None, repr=False)
     rings: tuple[bool, ...] | None = eqx.field(static=True, default=None, repr=False)
@@ -146,7 +146,7 @@ class Contact(eqx.Module):
 
         Args:
             rod: with a diameter; its length and diameters must be known (not traced). Of several
-                alike any one; a scene gives all of them segments of the same length.
+                any one, the thinnest by preference; a scene gives all of them segments so short.
             force: largest force expected between two strands [N].
             indentation: how far strands that cross at right angles under this force come into each
                 other [D], at most 0.2. Less is stiffer, and asks for more points.
@@ -199,8 +199,8 @@ class Contact(eqx.Module):
         size = np.pi * (1 - indentation) * indentation**2 * float(thin) ** 3
         law = Penalty(3 * as_float(force) / size, softness=indentation, relaxation=relaxation)
         cutoff = 1.1 * float(thick)
-        chosen = {"friction": friction, "capacities": capacities}
-        return cls(law, segments, cutoff, points_per_segment=points, laid_on=length, **chosen)
+        chosen, laid = {"friction": friction, "capacities": capacities}, (length, float(thin))
+        return cls(law, segments, cutoff, points_per_segment=points, laid_on=laid, **chosen)
 
     def check(self, rod: Rod) -> None:
         """Raise ValueError where the rod lacks what contact needs."""
@@ -231,8 +231,9 @@ class Contact(eqx.Module):
 
     def fitted(self, rod: Rod) -> "Contact":
         """The contact with room for the near pairs of its rod (`listed`), where that is known,
-        with as many segments as the rods are longer than that it was laid out on (`laid_on`), and
-        with these shared out to several rods (`shares`; by elements if lengths are traced).
+        with more segments where the rods are longer or thinner than that it was laid out on
+        (`laid_on`), and with these shared out to several rods (`shares`; by elements if lengths are
+        traced).
 
         `Scene` sees to it. Less room than is needed shows as `CAPACITY_OVERFLOW`.
         """
@@ -245,15 +246,18 @@ class Contact(eqx.Module):
         return dataclasses.replace(one, listed=listed, shares=shares)
 
     def _extended(self, rod: Rod) -> "Contact":
-        """With more segments where the rods are longer than what it was laid out on."""
-        if self.laid_on is None or not known(rod.length):
+        """With more segments where the rods are longer or thinner than what it was laid out on."""
+        if self.laid_on is None or rod.diameter is None:
             return self
-        solid = np.delete(np.asarray(rod.length), list(rod.breaks), axis=-1)
-        length = float(np.max(np.sum(solid, -1)))
-        if length <= self.laid_on * (1 + 1e-6):
+        if not (known(rod.length) and known(rod.diameter)):
             return self
-        segments = int(np.ceil(self.segments * length / self.laid_on * (1 - 1e-9)))
-        return dataclasses.replace(self, segments=segments, laid_on=length)
+        solid = [np.delete(np.asarray(x), list(rod.breaks), -1) for x in (rod.length, rod.diameter)]
+        laid = float(np.max(np.sum(solid[0], -1))), float(np.min(solid[1]))
+        finer = laid[0] / self.laid_on[0] * self.laid_on[1] / laid[1]
+        if finer <= 1 + 1e-6:
+            return self
+        segments = int(np.ceil(self.segments * finer * (1 - 1e-9)))
+        return dataclasses.replace(self, segments=segments, laid_on=laid)
 
     @property
     def width(self) -> int:

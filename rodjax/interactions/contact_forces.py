@@ -289,40 +289,40 @@ def first_duals(
 
     With the motion that a step begins from, `friction.continued`.
     """
-    rows, friction = blocks_of(pairs), contact.friction
+    friction = contact.friction
     assert friction is not None
     motions = [one for one in (before, motion) if one is not None]
     loads = [_loads(contact, sites, pairs, one) for one in motions]
 
-    def of(row):
+    def of(row, _):
         found = [strand_friction.first_dual(friction, *load(row)) for load in loads]
         return found[0] if len(found) == 1 else continued(*found)
 
-    def body(i, found):
-        now = of(jax.tree.map(lambda leaf: leaf[i], rows))
-        return jax.tree.map(lambda buffer, value: buffer.at[i].set(value), found, now)
-
+    blocks = -(-len(pairs.first) // BLOCK)
     count, dtype = contact.points_per_segment, motion.position.dtype
-    zeros = lambda *shape: jnp.zeros((len(rows[0]), BLOCK * count**2, *shape), dtype)
-    return _of_blocks(pairs, body, Dual(zeros(3), zeros(3), zeros(1)))
+    zeros = lambda *shape: jnp.zeros((blocks, BLOCK * count**2, *shape), dtype)
+    return _of_blocks(pairs, of, Dual(zeros(3), zeros(3), zeros(1)))
 
 
 def next_duals(contact: Contact, sites: Sites, pairs: NearPairs, motion: NodeMotion) -> Dual:
     """Those that follow the duals of the contact."""
-    rows, friction, load = blocks_of(pairs), contact.friction, _loads(contact, sites, pairs, motion)
+    friction, load = contact.friction, _loads(contact, sites, pairs, motion)
     assert friction is not None and contact.dual is not None
+    of = lambda row, before: strand_friction.next_dual(friction, before, *load(row))
+    return _of_blocks(pairs, of, contact.dual)
+
+
+def _of_blocks(pairs: NearPairs, of: Callable, begun: Dual) -> Dual:
+    """The duals of the blocks in use, of each from what it is and its duals so far.
+
+    In their place, as room for all takes long to clear; what is not in use stays zero.
+    """
+    rows = blocks_of(pairs)
 
     def body(i, found):
         row, before = (jax.tree.map(lambda leaf: leaf[i], x) for x in (rows, found))
-        now = strand_friction.next_dual(friction, before, *load(row))
-        return jax.tree.map(lambda buffer, value: buffer.at[i].set(value), found, now)
+        return jax.tree.map(lambda buffer, value: buffer.at[i].set(value), found, of(row, before))
 
-    # in the place of those before, as room for all takes long to clear; what is not in use is zero
-    return _of_blocks(pairs, body, contact.dual)
-
-
-def _of_blocks(pairs: NearPairs, body: Callable, begun: Dual) -> Dual:
-    """What a loop over the blocks in use makes of the duals."""
     return lax.fori_loop(0, (pairs.count + BLOCK - 1) // BLOCK, body, begun)
 
 

@@ -145,8 +145,7 @@ def _within(most: Float[Array, "nodes 1"], dual: Float[Array, "nodes 3"]):
 def continued(before: Dual, here: Dual) -> Dual:
     """The first dual of a step: the traction that the last ended with, within the limit of here.
 
-    What sticks and what slides is mostly what did, and not what a motion without forces would tell:
-    a fourth to a third fewer iterations where strands are heaped up.
+    What sticks and what slides is mostly what did, and not what a motion without forces would tell.
     """
     return here._replace(estimate=_within(here.limit, before.estimate))
 

@@ -32,7 +32,8 @@ _LOOKS, _MOST_LOOKS, _CLOSE = 8, 256, 0.25
 # a convex obstacle is convex along a chord: so its deepest place is found to 1/128, wherever it is.
 _PLACES, _CLOSE_PLACES, _TIMES, _CLOSER = 17, 5, 9, 3
 
-# Cosine of the angle between the normals at both ends of a chord up to which they see one rounding.
+# Cosine of the angle between the normals at both ends of a chord, or of a way, up to which they see
+# one rounding.
 _SEEN = 0.5
 
 Distance = Callable[[Float[Array, "3"]], tuple[Float[Array, ""], Float[Array, "3"]]]
@@ -55,61 +56,77 @@ def safe_fraction(
     return jnp.min(fraction, initial=1.0)
 
 
-def passed(
-    apart: Callable[[Positions], Float[Array, " points"]],
-    before: Positions,
-    after: Positions,
-    radius: Float[Array, " points"],
-) -> Bool[Array, ""]:
+class Ways(NamedTuple):
+    """Straight ways of the points of a rod, as the obstacle sees them.
+
+    Attributes:
+        before, after: where they begin and end.
+        radius: of the rod.
+    """
+
+    before: Positions
+    after: Positions
+    radius: Float[Array, " points"]
+
+
+class _Ends(NamedTuple):
+    """Distances from the obstacle where ways begin and end, and the cosine of the normals' turn."""
+
+    first: Float[Array, " points"]
+    last: Float[Array, " points"]
+    cosine: Float[Array, " points"]
+
+
+def _ends(distance: Distance, ways: Ways) -> _Ends:
+    (first, out), (last, there) = (jax.vmap(distance)(at) for at in (ways.before, ways.after))
+    return _Ends(first, last, jnp.sum(out * there, 1))
+
+
+def passed(shape: AbstractShape, ways: Ways) -> Bool[Array, ""]:
     """Whether a point went through an obstacle, or half a diameter into it at once."""
-    return jnp.any((apart(before) >= 0) & (deepest_on_way(apart, before, after, radius) < -radius))
+    apart = jax.vmap(shape.distance)
+    # the way out of a convex room is deepest at its end
+    deepest = apart(ways.after) if shape.convex_room else _deepest_on_way(apart, ways)
+    return jnp.any((apart(ways.before) >= 0) & (deepest < -ways.radius))
 
 
-def sunk(
-    apart: Callable[[Positions], Float[Array, " points"]],
-    before: Positions,
-    after: Positions,
-    radius: Float[Array, " points"],
-) -> Bool[Array, ""]:
-    """As `passed`, of an obstacle around a convex room."""
-    return jnp.any((apart(before) >= 0) & (apart(after) < -radius))
-
-
-def jumped(
-    distance_and_normal: Distance,
-    before: Positions,
-    after: Positions,
-    radius: Float[Array, " points"],
-) -> Bool[Array, ""]:
+def jumped(shape: AbstractShape, ways: Ways) -> Bool[Array, ""]:
     """Whether an obstacle is between two positions of a point outside it, or the centreline is in
-    it where another side than that it came from is nearer.
+    it where its normal is another than where it came from.
 
     Of equilibria, which may press far into a soft one at once.
     """
-    look = jax.vmap(distance_and_normal)
-    (first, out), (last, there) = look(before), look(after)
-    deepest = deepest_on_way(lambda at: look(at)[0], before, after, radius)
-    over = (jnp.minimum(first, last) >= 0) & (deepest < -radius)
-    aside = jnp.sum(out * there, 1) < _SEEN
-    return jnp.any(over | ((first >= 0) & (last < 0) & aside))
+    ends = _ends(shape.distance_and_normal, ways)
+    deepest = _deepest_on_way(jax.vmap(shape.distance), ways)
+    over = (jnp.minimum(ends.first, ends.last) >= 0) & (deepest < -ways.radius)
+    return jnp.any(over | ((ends.first >= 0) & (ends.last < 0) & (ends.cosine < _SEEN)))
 
 
-def deepest_on_way(
-    apart: Callable[[Positions], Float[Array, " points"]],
-    before: Positions,
-    after: Positions,
-    radius: Float[Array, " points"],
+def came_through(distance: Distance, ways: Ways) -> Bool[Array, ""]:
+    """Whether a point that touches an obstacle is now on another side of it.
+
+    Its normal has turned by more than a right angle: what is thinner than the rod is no deeper than
+    its own radius where the centreline is in its middle, and then pushes on to the other side.
+    """
+    ends = _ends(distance, ways)
+    touch = (ends.first < ways.radius) & (ends.last < ways.radius)
+    return jnp.any((ends.cosine < 0) & touch)
+
+
+def _deepest_on_way(
+    apart: Callable[[Positions], Float[Array, " points"]], ways: Ways
 ) -> Float[Array, " points"]:
-    """The least distance of points on straight ways, found where it is below -radius.
+    """The least distance of points on their ways, found where it is below -radius.
 
     Where a point is as far as d from the obstacle it is not looked at before it has gone d + radius
     on: only then can it be so deep.
     """
-    way = jnp.sqrt(jnp.sum((after - before) ** 2, 1))
+    before, after, radius = ways
+    length = jnp.sqrt(jnp.sum((after - before) ** 2, 1))
 
     def on(parts, distance):
         free = jnp.maximum(distance + radius, _CLOSE * radius)
-        ahead = jnp.where(free < way, free / jnp.where(way > 0, way, 1.0), 1.0)
+        ahead = jnp.where(free < length, free / jnp.where(length > 0, length, 1.0), 1.0)
         return parts + jnp.clip(ahead, 1 / _MOST_LOOKS, 1 / _LOOKS)
 
     def look(found):
@@ -121,22 +138,6 @@ def deepest_on_way(
     first = apart(before)
     found = on(jnp.zeros_like(first), first), jnp.minimum(first, apart(after))
     return lax.while_loop(lambda found: jnp.any(found[0] < 1.0), look, found)[1]
-
-
-def came_through(
-    distance_and_normal: Distance,
-    before: Positions,
-    after: Positions,
-    radius: Float[Array, " points"],
-) -> Bool[Array, ""]:
-    """Whether a point that touches an obstacle is now on another side of it.
-
-    Its normal has turned by more than a right angle: what is thinner than the rod is no deeper than
-    its own radius where the centreline is in its middle, and then pushes on to the other side.
-    """
-    (first, out), (last, there) = (jax.vmap(distance_and_normal)(at) for at in (before, after))
-    turned = jnp.sum(out * there, 1) < 0
-    return jnp.any(turned & (first < radius) & (last < radius))
 
 
 class Deepest(NamedTuple):

@@ -1,11 +1,12 @@
 """Obstacles: what a rod runs into, lies on or is wound over, with friction on its surface."""
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Float, Int
 
 from rodjax.inputs.schedules import AbstractSchedule, Constant, check_schedule
 from rodjax.inputs.validation import (
@@ -297,8 +298,8 @@ class Obstacle(AbstractLoad):
 
     def _shift(self, dtype) -> Float[Array, "3"]:
         """By how much it is moved, held at a time."""
-        shift = jnp.zeros(3) if self.displacement is None else self.displacement(jnp.zeros(()))
-        return shift.astype(dtype)
+        shift = self.displaced(jnp.zeros(()))
+        return jnp.zeros(3, dtype) if shift is None else shift.astype(dtype)
 
     def _apart(self, position: Float[Array, "points 3"]) -> Float[Array, " points"]:
         """Distances of points from the surface of what is held at a time."""
@@ -314,14 +315,7 @@ class Obstacle(AbstractLoad):
         """Whether a point went through the obstacle, or half a diameter into it at once, or it
         came between points.
         """
-        fixed, rod, before, after = newton.constant((self, rod, before, after))
-        apart = jax.vmap(fixed.shape.distance)
-        if self.shape.convex_room:  # deepest where they are
-            deep = obstacle_passages.sunk(apart, *fixed._of_rods(rod, before, after))
-            return jnp.where(deep, Result.OBSTACLE_PASSED, Result.SUCCESS)
-        passed = obstacle_passages.passed(apart, *fixed._of_rods(rod, before, after))
-        passed = passed | fixed._between(rod, before, after)
-        return jnp.where(passed, Result.OBSTACLE_PASSED, Result.SUCCESS)
+        return self._told(obstacle_passages.passed, rod, before, after)
 
     def path_verdict(self, rod, before, after):
         """Whether the obstacle came between points, which do not feel it there, or a point came
@@ -329,21 +323,19 @@ class Obstacle(AbstractLoad):
         """
         if self.shape.convex_room:
             return None
+        return self._told(obstacle_passages.jumped, rod, before, after)
+
+    def _told(self, passed: Callable, rod: Rod, before, after) -> Int[Array, ""]:
+        """The code of a step between these positions, by what is asked of the points' ways."""
         fixed, rod, before, after = newton.constant((self, rod, before, after))
-        looked = fixed.shape.distance_and_normal, *fixed._of_rods(rod, before, after)
-        passed = obstacle_passages.jumped(*looked) | fixed._between(rod, before, after)
-        return jnp.where(passed, Result.OBSTACLE_PASSED, Result.SUCCESS)
-
-    def _of_rods(self, rod: Rod, before, after):
-        """Where points come from and go to, as it sees them, and their radii."""
-        points, shift = self._points(rod), self._shift(before.dtype)[None]
-        own = lambda rows: points.of_rods(points.at(rows - shift))
-        return own(before), own(after), points.of_rods(points.radius)
-
-    def _between(self, rod: Rod, before, after) -> Bool[Array, ""]:
-        """Whether it is between points, or one that touches it came to another side of it."""
-        looked, shift = self.shape.distance_and_normal, self._shift(before.dtype)[None]
-        points = self._points(rod), before - shift, after - shift
-        between = obstacle_passages.between_points(looked, *points)
-        through = obstacle_passages.came_through(looked, *self._of_rods(rod, before, after))
-        return jnp.any(between.lacking < 0) | through
+        shape, points, shift = fixed.shape, fixed._points(rod), fixed._shift(before.dtype)[None]
+        before, after = before - shift, after - shift
+        own = lambda rows: points.of_rods(points.at(rows))
+        ways = obstacle_passages.Ways(own(before), own(after), points.of_rods(points.radius))
+        told = passed(shape, ways)
+        if not shape.convex_room:
+            looked = shape.distance_and_normal
+            between = obstacle_passages.between_points(looked, points, before, after)
+            told = told | jnp.any(between.lacking < 0)
+            told = told | obstacle_passages.came_through(looked, ways)
+        return jnp.where(told, Result.OBSTACLE_PASSED, Result.SUCCESS)

@@ -118,7 +118,7 @@ def search(
         return _listed(reached(), sizes, sites, position.shape[0], touching)
 
     def none():
-        return _listed(None, sizes, sites, position.shape[0], touching)
+        return _none_listed(sizes, sites, position.shape[0])
 
     # most steps end here: nothing within the widest reach of all
     slack = jnp.zeros_like(half)
@@ -190,32 +190,39 @@ def _of_one_rod(idle: Bool[np.ndarray, " g"]) -> Bool[Array, "g g"]:
     return jnp.asarray(rod[:, None] == rod[None, :])
 
 
-def _listed(
-    near: Bool[Array, "g g"] | None, sizes, sites: Sites, nodes: int, touching: Callable
-) -> NearPairs:
-    """The list of the near pairs that are `touching`, or of none, and what they involve."""
+def _none_listed(sizes, sites: Sites, nodes: int) -> NearPairs:
+    """The list of no pairs."""
     room, vertices = sizes[-1].pairs, sites.weight.shape[0]
-    fronts = [index for index, size in enumerate(sizes) if size.front is not None]
-    no_graph = contact_graph.nothing(room, nodes) if fronts else None
-    if near is None:
-        no_pair, zero = jnp.zeros((room,), jnp.int32), jnp.asarray(0, jnp.int32)
-        every = jnp.arange(vertices, dtype=jnp.int32)
-        node = None if sizes[-1].nodes is None else jnp.arange(nodes, dtype=jnp.int32)
-        no = jnp.asarray(False)
-        return NearPairs(no_pair, no_pair, zero, every, every, node, zero, no, no_graph)
+    no_pair, zero = jnp.zeros((room,), jnp.int32), jnp.asarray(0, jnp.int32)
+    every = jnp.arange(vertices, dtype=jnp.int32)
+    node = None if sizes[-1].nodes is None else jnp.arange(nodes, dtype=jnp.int32)
+    no, graph = jnp.asarray(False), _no_graph(sizes, nodes)
+    return NearPairs(no_pair, no_pair, zero, every, every, node, zero, no, graph)
+
+
+def _no_graph(sizes, nodes: int) -> Graph | None:
+    """The graph of no pairs, if a capacity has use for one."""
+    fronts = any(size.front is not None for size in sizes)
+    return contact_graph.nothing(sizes[-1].pairs, nodes) if fronts else None
+
+
+def _listed(
+    near: Bool[Array, "g g"], sizes, sites: Sites, nodes: int, touching: Callable
+) -> NearPairs:
+    """The list of those near pairs that are `touching`, and what they involve."""
+    room, vertices = sizes[-1].pairs, sites.weight.shape[0]
     first, second = (
         index.astype(jnp.int32) for index in jnp.nonzero(near, size=room, fill_value=0)
     )
     before = jnp.sum(near).astype(jnp.int32)
     number = jnp.arange(room, dtype=jnp.int32)
-    kept = touching(first, second) & (number < before)
-    place, _, count = _first(kept)
-    first, second = (jnp.where(number < count, index[place], 0) for index in (first, second))
-    at = jnp.where(number < count, first, vertices), jnp.where(number < count, second, vertices)
+    place, _, count = _first(touching(first, second) & (number < before))
+    first, second = first[place], second[place]
     involved = jnp.zeros((vertices,), bool)
-    for segment in at:
-        involved = involved.at[segment].set(True, mode="drop")
-        involved = involved.at[segment + 1].set(True, mode="drop")
+    for segment in (first, second):
+        vertex = jnp.where(number < count, segment, vertices)
+        for at in (vertex, vertex + 1):
+            involved = involved.at[at].set(True, mode="drop")
     order, rank, involving = _first(involved)
     holds = lambda numbers: jnp.asarray(numbers, jnp.int32)
     fits = (involving <= holds([size.vertices for size in sizes])) & (
@@ -228,8 +235,9 @@ def _listed(
         between = between.add(touched.astype(jnp.int32)) > 0
         node, _, count_nodes = _first(between)
         fits = fits & (count_nodes <= holds([size.nodes for size in sizes]))
-    graph = None
-    if fronts:
+    graph = no_graph = _no_graph(sizes, nodes)
+    if no_graph is not None:
+        fronts = [index for index, size in enumerate(sizes) if size.front is not None]
         needed = ~jnp.any(fits[: fronts[0]])
         listed = jnp.minimum(count, room)
         couplings = lambda corners: contact_graph.couplings(corners, listed, sites, nodes)
