@@ -9,6 +9,8 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float
 
+from rodjax.numerics.small_systems import divide
+
 
 class BlockTridiagonal(eqx.Module):
     """The matrix with `lower[i]`, `diagonal[i]`, `upper[i]` in block columns i-1, i, i+1.
@@ -44,7 +46,7 @@ class BlockTridiagonal(eqx.Module):
             update = lower @ previous
             matrix = diagonal - update[:, :b]
             columns = jnp.concatenate([upper, (right - update[:, b])[:, None]], 1)
-            current = jnp.linalg.solve(matrix, columns)
+            current = divide(matrix, columns)
             return current, current
 
         def substitute(x, row):
@@ -71,7 +73,7 @@ class BlockTridiagonal(eqx.Module):
         def eliminate(previous, row):
             lower, diagonal, upper = row
             matrix = diagonal - lower @ previous
-            current = jnp.linalg.solve(matrix, jnp.concatenate([upper, eye], 1))
+            current = divide(matrix, jnp.concatenate([upper, eye], 1))
             return current[:, :b], current
 
         start = jnp.zeros((b, b), self.diagonal.dtype)

@@ -17,6 +17,7 @@ from jaxtyping import Array, Float, Int
 from rodjax.numerics.block_tridiagonal import BlockTridiagonal
 from rodjax.numerics.chunks import CHUNK, chunks, part, whole_chunks
 from rodjax.numerics.front_order import BLOCK, FrontSize, Order
+from rodjax.numerics.small_systems import divide
 
 
 class Stencils(NamedTuple):
@@ -132,7 +133,7 @@ def factorize(
         right = front[slots] + entries[0]
         below = (front[:, slots].T + entries[1]) * kept[None]
         # not solved for all columns, which takes longer
-        inverse = jnp.linalg.solve(right[:, slots], jnp.eye(BLOCK, dtype=dtype))
+        inverse = divide(right[:, slots], jnp.eye(BLOCK, dtype=dtype))
         right = inverse @ (right * kept[None])
         front = (front - below.T @ right) * (kept[:, None] * kept[None, :])
         return front, jnp.concatenate([part.reshape(-1) for part in (inverse, right, below)])
