@@ -30,21 +30,27 @@ def divide(matrix: Float[Array, "b b"], columns: Float[Array, "b k"]) -> Float[A
 
 
 def _without_exchange(matrix, columns):
-    """The columns by Gauss and Jordan, and the largest of multipliers and of pivots' conditions."""
+    """The columns by Gauss and Jordan, and by how much rounding may have grown.
+
+    That is the largest of the multipliers, and of the terms that the product of a pivot and its
+    inverse sums to ones.
+    """
     rows = jnp.concatenate([matrix, columns], 1)
+    count = len(rows) // _PART
     part = jnp.arange(len(rows)) // _PART
-    growth = jnp.zeros((), rows.dtype)
-    for k in range(len(rows) // _PART):
+    terms = []
+    for k in range(count):
         at = slice(_PART * k, _PART * (k + 1))
         inverse = _inverse(rows[at, at])
         multipliers = _times(rows[:, at], inverse)
-        below = jnp.where((part > k)[:, None], jnp.abs(multipliers), 0.0)
-        condition = jnp.max(jnp.abs(rows[at, at])) * jnp.max(jnp.abs(inverse))
-        growth = jnp.maximum(growth, jnp.maximum(condition, jnp.max(below)))
-        whole = jnp.tile(_times(inverse, rows[at]), (len(rows) // _PART, 1))
+        own = jnp.tile(rows[at, at] * inverse.T, (count, 1))
+        # above a pivot they are what a back substitution subtracts, however large
+        terms.append(jnp.where((part >= k)[:, None], multipliers, 0.0))
+        terms[-1] = jnp.where((part == k)[:, None], own, terms[-1])
+        divided = jnp.tile(_times(inverse, rows[at]), (count, 1))
         left = rows - _times(multipliers, rows[at])
-        rows = jnp.where((part == k)[:, None], whole, left)
-    return rows[:, matrix.shape[1] :], growth
+        rows = jnp.where((part == k)[:, None], divided, left)
+    return rows[:, matrix.shape[1] :], jnp.max(jnp.abs(jnp.stack(terms)))
 
 
 def _times(one, other):
@@ -55,6 +61,7 @@ def _times(one, other):
 
 def _inverse(matrix):
     """Inverse of a matrix of three rows, by its cofactors."""
-    first, second, third = matrix
-    cofactors = [jnp.cross(second, third), jnp.cross(third, first), jnp.cross(first, second)]
-    return jnp.stack(cofactors, 1) / jnp.sum(first * cofactors[0])
+    around = jnp.tile(matrix, (2, 2))
+    one, two = slice(1, 1 + _PART), slice(2, 2 + _PART)
+    cofactors = around[one, one] * around[two, two] - around[one, two] * around[two, one]
+    return cofactors.T / jnp.sum(matrix[0] * cofactors[0])
