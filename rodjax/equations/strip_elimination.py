@@ -44,7 +44,8 @@ class StripElimination(eqx.Module):
             right = jnp.swapaxes(_taken(coupling.right, columns, 1)[:, :width], 1, 2)
             right = of_motion[None, :, None] * right
         far = contact_graph.distant(graph, *given, left, right)
-        return cls(frontal.factorize(BlockTridiagonal(*parts), far, graph.order, size))
+        paired = tuple(rows.index(column) for column in columns)
+        return cls(frontal.factorize(BlockTridiagonal(*parts), far, graph.order, size, paired))
 
     def solve(self, b: Float[Array, "nodes 9"]) -> Float[Array, "nodes 9"]:
         """Solution for one right side."""

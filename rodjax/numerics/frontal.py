@@ -48,7 +48,7 @@ class FrontalFactors(eqx.Module):
     """The elimination, stored for repeated solves, a row for every node in the order.
 
     With P the block of a node when it is eliminated, and R, C what then stands right of it and
-    below it in the front, a row begins with P^-1, P^-1 R and the transpose of C.
+    below it in the front, a row begins with P^-1, P^-1 R and C.
     """
 
     order: Order
@@ -67,7 +67,7 @@ class FrontalFactors(eqx.Module):
             slots, row, b = row
             inverse, _, below = self._parts(row)
             y = inverse @ (b + front[slots])
-            return front.at[slots].set(0.0) - y @ below, y
+            return front.at[slots].set(0.0) - below @ y, y
 
         def backward(front, row):
             slots, row, y = row
@@ -87,15 +87,15 @@ class FrontalFactors(eqx.Module):
         def backward(front, row):
             slots, row, v = row
             inverse, _, below = self._parts(row)
-            x = (v - below @ front) @ inverse
+            x = (v - front @ below) @ inverse
             return front.at[slots].set(x), x
 
         return self._swept(forward, backward, b)
 
     def _parts(self, row):
         first, second, third = (BLOCK * (BLOCK + k * self.size.unknowns) for k in range(3))
-        parts = row[:first], row[first:second], row[second:third]
-        return tuple(part.reshape(BLOCK, -1) for part in parts)
+        inverse, right, below = row[:first], row[first:second], row[second:third]
+        return inverse.reshape(BLOCK, BLOCK), right.reshape(BLOCK, -1), below.reshape(-1, BLOCK)
 
     def _swept(self, forward, backward, b):
         order = self.order
@@ -120,27 +120,37 @@ def _slots(order: Order, size: FrontSize) -> Int[Array, "n 9"]:
 
 
 def factorize(
-    blocks: BlockTridiagonal, distant: Distant, order: Order, size: FrontSize
+    blocks: BlockTridiagonal,
+    distant: Distant,
+    order: Order,
+    size: FrontSize,
+    paired: tuple[int, ...] = tuple(range(BLOCK)),
 ) -> FrontalFactors:
-    """Eliminate the nodes of blocks + distant in this order, which must fit into the front."""
+    """Eliminate the nodes of blocks + distant in this order, which must fit into the front.
+
+    Inside a block rows are `paired` with its columns for `divide`: numbers of rows.
+    """
     dtype, width = blocks.diagonal.dtype, size.unknowns
-    slots = _slots(order, size)
+    slots, rows = _slots(order, size), jnp.asarray(paired, jnp.int32)
+    eye = jnp.eye(BLOCK, dtype=dtype)[rows]
     entries = _entries(blocks, distant, order, slots, size)
 
     def eliminate(front, row):
         entries, slots = row
         kept = jnp.ones((width,), dtype).at[slots].set(0.0)
         right = front[slots] + entries[0]
-        below = (front[:, slots].T + entries[1]) * kept[None]
+        # a column for each row of the block: transposed their product would take twice the time
+        below = (front[:, slots] + entries[1].T) * kept[:, None]
         # not solved for all columns, which takes longer
-        inverse = divide(right[:, slots], jnp.eye(BLOCK, dtype=dtype))
+        inverse = divide(right[:, slots][rows], eye)
         right = inverse @ (right * kept[None])
-        front = (front - below.T @ right) * (kept[:, None] * kept[None, :])
-        return front, jnp.concatenate([part.reshape(-1) for part in (inverse, right, below)])
+        front = (front - below @ right) * (kept[:, None] * kept[None, :])
+        return front, (inverse, right, below)
 
     nothing = jnp.zeros((width, width), dtype)
-    _, rows = lax.scan(eliminate, nothing, (entries, slots[order.node]))
-    return FrontalFactors(order, rows, size)
+    _, parts = lax.scan(eliminate, nothing, (entries, slots[order.node]))
+    flat = [part.reshape(len(part), -1) for part in parts]
+    return FrontalFactors(order, jnp.concatenate(flat, 1), size)
 
 
 def _entries(blocks, distant, order, slots, size) -> Float[Array, "n 2 9 s"]:
