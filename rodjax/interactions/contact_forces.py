@@ -164,12 +164,25 @@ class _Slopes(NamedTuple):
     friction: strand_friction.Slopes | None
 
 
-def _slopes(contact, points: Points, by_velocity, dual: Dual | None) -> _Slopes:
-    magnitude = partial(points.magnitude, contact)
-    p, pull = jax.vjp(magnitude, *points.inputs)
-    acts, distance, n, w = points.acts, points.distance, points.passing.normal, points.passing[2]
-    p_d, p_c, *by_cosines = (jnp.where(acts, g, 0.0) for g in pull(jnp.ones_like(p)))
-    p = jnp.where(acts, p, 0.0)
+def _stored(used: Bool[Array, ""], function: Callable):
+    """What the function gives of a block that is in use, as any that is evaluated is.
+
+    What a branch returns is stored, and XLA would otherwise evaluate it anew for every one of the
+    numbers made of it.
+    """
+    nothing = lambda: jax.tree.map(jnp.zeros_like, jax.eval_shape(function))
+    return lax.cond(used, function, nothing)
+
+
+def _law_slopes(contact, points: Points) -> tuple[Array, ...]:
+    """The force between points, and its derivatives by what `Points.magnitude` takes."""
+    p, pull = jax.vjp(partial(points.magnitude, contact), *points.inputs)
+    return tuple(jnp.where(points.acts, x, 0.0) for x in (p, *pull(jnp.ones_like(p))))
+
+
+def _slopes(contact, points: Points, law_slopes, by_velocity, dual: Dual | None) -> _Slopes:
+    distance, n, w = points.distance, points.passing.normal, points.passing[2]
+    p, p_d, p_c, *by_cosines = law_slopes
     over = p / distance
     # numbers of the pairs of points beside vectors, whose components lead
     p_d, p_c, opened = (x[None] for x in (p_d, p_c, points.opening))
@@ -205,11 +218,9 @@ def _blocks(contact, sites, pairs, vertices, rates, by_velocity):
             if friction is not None:
                 rubbed = strand_friction.traction(friction, p, points.passing)
         else:
-            some = lambda: _slopes(contact, points, by_velocity, dual)
-            nothing = lambda: jax.tree.map(jnp.zeros_like, jax.eval_shape(some))
-            # always so; but what a branch returns is stored, and XLA would otherwise evaluate it
-            # anew for every one of the numbers below
-            found = lax.cond(first < pairs.count, some, nothing)
+            used = first < pairs.count
+            law = _stored(used, lambda: _law_slopes(contact, points))
+            found = _stored(used, lambda: _slopes(contact, points, law, by_velocity, dual))
             p, h, rubbed = found.force, _by_vertices(mix, n, found), None
             if found.friction is not None:
                 assert points.share is not None
