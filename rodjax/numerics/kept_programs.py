@@ -21,6 +21,11 @@ def keep_compiled(folder: str | os.PathLike | None = None) -> str:
     of rodjax changes nothing of JAX). A second process then starts a scene of the same structure
     and size in a fraction of the time; numbers may differ.
 
+    On some Intel processors jaxlib then says of every program, in lines that begin with E, that
+    "Target machine feature +prefer-no-gather is not supported": it takes a hint to its compiler
+    for an instruction (jax issue 38445). The programs are read and right. Start Python with
+    `TF_CPP_MIN_LOG_LEVEL=3` in its environment to read no such lines.
+
     Args:
         folder: where; it is made. None means what JAX has been told already
             (`JAX_COMPILATION_CACHE_DIR`, which stays as it is), or else a folder for this version
