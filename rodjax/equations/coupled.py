@@ -62,20 +62,21 @@ class CoupledSystem(eqx.Module):
         if coupling is None:
             return EliminatedBlocks.of(blocks)
 
-        def numbers(capacity, blocks, coupling):
+        def numbers(capacity, *given):
             if not capacity.kept:
                 return jnp.zeros((len(blocks.diagonal), 0), blocks.diagonal.dtype), nothing
-            return _elimination(capacity).of(blocks, coupling, capacity).numbers()
+            return _elimination(capacity).of(*given, capacity).numbers()
 
         nothing = jnp.zeros((0,), jnp.int32)
+        given = blocks, coupling, _factors(blocks, coupling)
         # jitted so as to be traced once, for the sizes and for the branches
         each = [jax.jit(partial(numbers, capacity)) for capacity in coupling.capacities]
-        sizes = [[x.shape[-1] for x in jax.eval_shape(one, blocks, coupling)] for one in each]
+        sizes = [[x.shape[-1] for x in jax.eval_shape(one, *given)] for one in each]
         row, order = (max(size) for size in zip(*sizes, strict=True))
 
         def padded(one):
-            def branch(blocks, coupling):
-                found, permutation = one(blocks, coupling)
+            def branch(*given):
+                found, permutation = one(*given)
                 return (
                     jnp.pad(found, ((0, 0), (0, row - found.shape[1]))),
                     jnp.pad(permutation, (0, order - permutation.shape[0])),
@@ -84,8 +85,8 @@ class CoupledSystem(eqx.Module):
             return branch
 
         capacity = coupling.pairs.capacity - 1
-        found = lax.switch(capacity, list(map(padded, each)), blocks, coupling)
-        return Eliminated(blocks, coupling, *found)
+        found = lax.switch(capacity, list(map(padded, each)), *given)
+        return Eliminated(*given, *found)
 
 
 class EliminatedBlocks(eqx.Module):
@@ -123,6 +124,7 @@ class Eliminated(eqx.Module):
 
     blocks: BlockTridiagonal
     coupling: Coupling
+    factors: Factors  # of the blocks, where what touches is a dense system
     rows: Float[Array, "nodes r"]
     order: Int[Array, " k"]
 
@@ -144,20 +146,28 @@ class Eliminated(eqx.Module):
         def by(capacity):
             kind = _elimination(capacity)
 
-            def answer(blocks, coupling, rows, order, *given):
+            def answer(blocks, coupling, factors, rows, order, *given):
                 if not capacity.kept:
-                    return asked(kind.of(blocks, coupling, capacity), *given)
-                return asked(kind.from_numbers(coupling, capacity, rows, order), *given)
+                    return asked(kind.of(blocks, coupling, factors, capacity), *given)
+                return asked(kind.from_numbers(coupling, factors, capacity, rows, order), *given)
 
             return answer
 
         branches = [by(capacity) for capacity in self.coupling.capacities]
-        numbers = self.blocks, self.coupling, self.rows, self.order
+        numbers = self.blocks, self.coupling, self.factors, self.rows, self.order
         return lax.switch(self.coupling.pairs.capacity - 1, branches, *numbers, *given)
 
 
 def _elimination(capacity: Capacity) -> type[DenseElimination] | type[StripElimination]:
     return DenseElimination if capacity.front is None else StripElimination
+
+
+def _factors(blocks: BlockTridiagonal, coupling: Coupling) -> Factors:
+    """Factors of the blocks, once for all sizes of dense systems; zeros where there is a front."""
+    dense = jnp.asarray([size.front is None for size in coupling.capacities])
+    nothing = jax.tree.map(jnp.zeros_like, jax.eval_shape(blocks.factorize))
+    at = coupling.pairs.capacity - 1
+    return lax.cond(dense[at], lambda blocks: blocks.factorize(), lambda _: nothing, blocks)
 
 
 def _solve_blocks(system: CoupledSystem, b):
@@ -173,34 +183,38 @@ def _uncoupled(system: CoupledSystem, b):
     return system.coupling.pairs.capacity == 0
 
 
-def _by_capacity(solved, uncoupled):
+def _by_capacity(solved, uncoupled, transposed: bool):
     """A solve by the solver for what is in contact, one lane of a batch after the other."""
 
-    def one(system: CoupledSystem, b):
+    def coupled(system: CoupledSystem, b):
         assert system.coupling is not None
-        branches = [uncoupled]
-        for capacity in system.coupling.capacities:
-            branches.append(lambda system, b, capacity=capacity: solved(system, capacity, b))
-        return lax.switch(system.coupling.pairs.capacity, branches, system, b)
+        turned = system.transpose() if transposed else system
+        assert turned.coupling is not None
+        factors = _factors(turned.blocks, turned.coupling)
+        branches = [partial(solved, capacity) for capacity in system.coupling.capacities]
+        return lax.switch(system.coupling.pairs.capacity - 1, branches, system, factors, b)
+
+    def one(system: CoupledSystem, b):
+        return lax.cond(_uncoupled(system, b), uncoupled, coupled, system, b)
 
     return one_by_one(one, (_uncoupled, uncoupled))
 
 
-def _solved(system: CoupledSystem, capacity: Capacity, b):
+def _solved(capacity: Capacity, system: CoupledSystem, factors: Factors, b):
     assert system.coupling is not None
-    eliminated = _elimination(capacity).of(system.blocks, system.coupling, capacity)
+    eliminated = _elimination(capacity).of(system.blocks, system.coupling, factors, capacity)
     if capacity.front is None:
         return eliminated.solve(b)
     return _refined(eliminated.solve, system.multiply, b)
 
 
-def _solved_transpose(system: CoupledSystem, capacity: Capacity, b):
+def _solved_transpose(capacity: Capacity, system: CoupledSystem, factors: Factors, b):
     assert system.coupling is not None
-    transposed = system.transpose()
+    turned = system.transpose()
     if capacity.front is None:
-        return _solved(transposed, capacity, b)
-    eliminated = StripElimination.of(system.blocks, system.coupling, capacity)
-    return _refined(eliminated.solve_transpose, transposed.multiply, b)
+        return _solved(capacity, turned, factors, b)
+    eliminated = StripElimination.of(system.blocks, system.coupling, factors, capacity)
+    return _refined(eliminated.solve_transpose, turned.multiply, b)
 
 
 def _refined(solve, multiply, b):
@@ -215,5 +229,5 @@ def _refined(solve, multiply, b):
     return jnp.where(lost, jnp.nan, x + solve(left))
 
 
-_solve = _by_capacity(_solved, _solve_blocks)
-_solve_transpose = _by_capacity(_solved_transpose, _solve_transpose_blocks)
+_solve = _by_capacity(_solved, _solve_blocks, transposed=False)
+_solve_transpose = _by_capacity(_solved_transpose, _solve_transpose_blocks, transposed=True)

@@ -38,10 +38,12 @@ class DenseElimination(eqx.Module):
 
     @classmethod
     def of(
-        cls, blocks: BlockTridiagonal, coupling: Coupling, capacity: Capacity
+        cls, blocks: BlockTridiagonal, coupling: Coupling, factors: Factors, capacity: Capacity
     ) -> "DenseElimination":
-        """Of blocks + coupling, whose vertices in contact the capacity must hold."""
-        factors = blocks.factorize()
+        """Of blocks + coupling, whose vertices in contact the capacity must hold.
+
+        The factors are those of the blocks.
+        """
         response = _response(factors, coupling, capacity, _derivative(coupling, capacity))
         eye = jnp.eye(len(response), dtype=response.dtype)
         lu, _, order = lax.linalg.lu(eye + response)
@@ -91,22 +93,18 @@ class DenseElimination(eqx.Module):
         return negative_in_all(pivots) + negative_in_all(matrix[None]) - size
 
     def numbers(self) -> tuple[Float[Array, "nodes r"], Int[Array, " k"]]:
-        """What it holds besides the coupling, in rows for the nodes, and its order."""
+        """What it holds besides the coupling and the factors, in rows for the nodes; its order."""
         nodes = self.factors.inverse.shape[0]
         flat = self.lu.reshape(-1)
-        spread = jnp.pad(flat, (0, -flat.size % nodes)).reshape(nodes, -1)
-        parts = [part.reshape(nodes, -1) for part in jax.tree.leaves(self.factors)]
-        return jnp.concatenate([*parts, spread], 1), self.order
+        return jnp.pad(flat, (0, -flat.size % nodes)).reshape(nodes, -1), self.order
 
     @classmethod
-    def from_numbers(cls, coupling, capacity, rows, order) -> "DenseElimination":
+    def from_numbers(cls, coupling, factors, capacity, rows, order) -> "DenseElimination":
         """What gave these numbers."""
-        size, k = 81, coupling.width * capacity.points
-        parts = [rows[:, i * size : (i + 1) * size].reshape(-1, 9, 9) for i in range(3)]
+        k = coupling.width * capacity.points
         share = -(-k * k // rows.shape[0])
-        flat = rows[:, 3 * size : 3 * size + share].reshape(-1)
-        lu = flat[: k * k].reshape(k, k)
-        return cls(coupling, capacity, Factors(*parts), lu, order[:k])
+        lu = rows[:, :share].reshape(-1)[: k * k].reshape(k, k)
+        return cls(coupling, capacity, factors, lu, order[:k])
 
 
 def _derivative(coupling: Coupling, capacity: Capacity) -> Float[Array, "m w k"]:

@@ -11,7 +11,7 @@ from rodjax.interactions import contact_graph
 from rodjax.interactions.contact_capacities import Capacity
 from rodjax.interactions.contact_graph import Graph
 from rodjax.numerics import frontal
-from rodjax.numerics.block_tridiagonal import BlockTridiagonal
+from rodjax.numerics.block_tridiagonal import BlockTridiagonal, Factors
 from rodjax.numerics.frontal import FrontalFactors
 from rodjax.numerics.signs import determinant_signs, negative_in_all
 
@@ -26,9 +26,12 @@ class StripElimination(eqx.Module):
 
     @classmethod
     def of(
-        cls, blocks: BlockTridiagonal, coupling: Coupling, capacity: Capacity
+        cls, blocks: BlockTridiagonal, coupling: Coupling, factors: Factors, capacity: Capacity
     ) -> "StripElimination":
-        """Of blocks + coupling, whose nodes the front of the capacity must hold."""
+        """Of blocks + coupling, whose nodes the front of the capacity must hold.
+
+        The factors of the blocks alone it has no use for.
+        """
         graph, width = _graph(coupling), coupling.width
         assert capacity.front is not None
         size = capacity.front._replace(reaching=width)
@@ -73,7 +76,7 @@ class StripElimination(eqx.Module):
         return self.factors.rows, jnp.zeros((0,), jnp.int32)
 
     @classmethod
-    def from_numbers(cls, coupling, capacity, rows, order) -> "StripElimination":
+    def from_numbers(cls, coupling, factors, capacity, rows, order) -> "StripElimination":
         """What gave these numbers."""
         size = capacity.front._replace(reaching=coupling.width)
         return cls(FrontalFactors(_graph(coupling).order, rows, size))
