@@ -77,6 +77,28 @@ def test_a_strip_is_solved_as_a_dense_system(bent, monkeypatch):
 
 
 @pytest.mark.parametrize("bent", [14], indirect=True)
+@pytest.mark.parametrize("last", ["dense", "front"])
+def test_with_nothing_near_the_chain_alone_is_eliminated(bent, last, monkeypatch):
+    """Whatever the largest size of contact is solved by: equilibria do not ask what is near."""
+    scene, state, _ = bent
+    whole = contact_capacities.capacities(scene.contact, 14)[-1]
+    sizes = whole, whole if last == "dense" else whole._replace(front=FrontSize(24, 8))
+    for module in (screening, coupling):
+        monkeypatch.setattr(module, "capacities", lambda *given: sizes)
+    near = scene.find_contact(100 * state.position)
+    assert int(near.pairs.capacity) == 0
+    equations = step_equations(scene, state, jnp.asarray(1e-3), jnp.asarray(0.8), Found((), near))
+    system = equations.linearize(equations.guess(state.force))
+    b = jnp.asarray(np.random.default_rng(1).normal(size=(15, 9)))
+    expected = system.blocks.solve(b)
+    for found in (system.solve(b), system.eliminate().solve(b)):
+        np.testing.assert_allclose(found, expected, rtol=1e-10, atol=1e-12)
+    assert float(system.eliminate().sign()) == float(
+        dataclasses.replace(system, coupling=None).eliminate().sign()
+    )
+
+
+@pytest.mark.parametrize("bent", [14], indirect=True)
 @pytest.mark.parametrize("width", [3, 6])
 def test_pairs_are_summed_at_nodes_as_by_way_of_vertices(bent, width, monkeypatch):
     """Of a grid coarser than the segments, for any number of pairs in use and any capacity."""

@@ -57,7 +57,7 @@ class CoupledSystem(eqx.Module):
 
     @jax.named_scope("eliminate")
     def eliminate(self) -> "Eliminated | EliminatedBlocks":
-        """The system, of contact some pairs of which are near, ready for several right sides."""
+        """The system ready for several right sides."""
         blocks, coupling = self.blocks, self.coupling
         if coupling is None:
             return EliminatedBlocks.of(blocks)
@@ -84,7 +84,7 @@ class CoupledSystem(eqx.Module):
 
             return branch
 
-        capacity = coupling.pairs.capacity - 1
+        capacity = jnp.maximum(coupling.pairs.capacity - 1, 0)
         found = lax.switch(capacity, list(map(padded, each)), *given)
         return Eliminated(*given, *found)
 
@@ -155,7 +155,8 @@ class Eliminated(eqx.Module):
 
         branches = [by(capacity) for capacity in self.coupling.capacities]
         numbers = self.blocks, self.coupling, self.factors, self.rows, self.order
-        return lax.switch(self.coupling.pairs.capacity - 1, branches, *numbers, *given)
+        capacity = jnp.maximum(self.coupling.pairs.capacity - 1, 0)
+        return lax.switch(capacity, branches, *numbers, *given)
 
 
 def _elimination(capacity: Capacity) -> type[DenseElimination] | type[StripElimination]:
@@ -166,7 +167,7 @@ def _factors(blocks: BlockTridiagonal, coupling: Coupling) -> Factors:
     """Factors of the blocks, once for all sizes of dense systems; zeros where there is a front."""
     dense = jnp.asarray([size.front is None for size in coupling.capacities])
     nothing = jax.tree.map(jnp.zeros_like, jax.eval_shape(blocks.factorize))
-    at = coupling.pairs.capacity - 1
+    at = jnp.maximum(coupling.pairs.capacity - 1, 0)  # nothing near: as few as there may be
     return lax.cond(dense[at], lambda blocks: blocks.factorize(), lambda _: nothing, blocks)
 
 

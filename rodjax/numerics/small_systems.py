@@ -45,8 +45,8 @@ def _without_exchange(matrix, columns):
         multipliers = _times(rows[:, at], inverse)
         own = jnp.tile(rows[at, at] * inverse.T, (count, 1))
         # above a pivot they are what a back substitution subtracts, however large
-        terms.append(jnp.where((part >= k)[:, None], multipliers, 0.0))
-        terms[-1] = jnp.where((part == k)[:, None], own, terms[-1])
+        below = jnp.where((part > k)[:, None], multipliers, 0.0)
+        terms.append(jnp.where((part == k)[:, None], own, below))
         divided = jnp.tile(_times(inverse, rows[at]), (count, 1))
         left = rows - _times(multipliers, rows[at])
         rows = jnp.where((part == k)[:, None], divided, left)
