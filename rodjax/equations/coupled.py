@@ -62,10 +62,10 @@ class CoupledSystem(eqx.Module):
         if coupling is None:
             return EliminatedBlocks.of(blocks)
 
-        def numbers(capacity, *given):
+        def numbers(capacity, blocks, coupling, factors):
             if not capacity.kept:
                 return jnp.zeros((len(blocks.diagonal), 0), blocks.diagonal.dtype), nothing
-            return _elimination(capacity).of(*given, capacity).numbers()
+            return _elimination(capacity).of(blocks, coupling, factors, capacity).numbers()
 
         nothing = jnp.zeros((0,), jnp.int32)
         given = blocks, coupling, _factors(blocks, coupling)
