@@ -112,6 +112,15 @@ def test_single_precision():
     np.testing.assert_allclose(found, np.linalg.solve(matrix, columns), atol=1e-4)
 
 
+@pytest.mark.parametrize("dtype, size", [(jnp.float32, 3e-15), (float, 1e-107)])
+def test_determinants_that_underflow_are_not_divided_by(dtype, size):
+    matrix, columns = system()
+    matrix[:3] *= size
+    columns[:3] *= size
+    found = divided(jnp.asarray(matrix, dtype), jnp.asarray(columns, dtype))
+    np.testing.assert_allclose(found, np.linalg.solve(matrix, columns), atol=1e-4)
+
+
 def test_what_is_singular_is_no_number():
     matrix, columns = system()
     matrix[:, 4] = 0
