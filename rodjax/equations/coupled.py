@@ -84,8 +84,7 @@ class CoupledSystem(eqx.Module):
 
             return branch
 
-        capacity = jnp.maximum(coupling.pairs.capacity - 1, 0)
-        found = lax.switch(capacity, list(map(padded, each)), *given)
+        found = lax.switch(coupling.level, list(map(padded, each)), *given)
         return Eliminated(*given, *found)
 
 
@@ -155,8 +154,7 @@ class Eliminated(eqx.Module):
 
         branches = [by(capacity) for capacity in self.coupling.capacities]
         numbers = self.blocks, self.coupling, self.factors, self.rows, self.order
-        capacity = jnp.maximum(self.coupling.pairs.capacity - 1, 0)
-        return lax.switch(capacity, branches, *numbers, *given)
+        return lax.switch(self.coupling.level, branches, *numbers, *given)
 
 
 def _elimination(capacity: Capacity) -> type[DenseElimination] | type[StripElimination]:
@@ -167,8 +165,8 @@ def _factors(blocks: BlockTridiagonal, coupling: Coupling) -> Factors:
     """Factors of the blocks, once for all sizes of dense systems; zeros where there is a front."""
     dense = jnp.asarray([size.front is None for size in coupling.capacities])
     nothing = jax.tree.map(jnp.zeros_like, jax.eval_shape(blocks.factorize))
-    at = jnp.maximum(coupling.pairs.capacity - 1, 0)  # nothing near: as few as there may be
-    return lax.cond(dense[at], lambda blocks: blocks.factorize(), lambda _: nothing, blocks)
+    make = lambda blocks: blocks.factorize()
+    return lax.cond(dense[coupling.level], make, lambda _: nothing, blocks)
 
 
 def _solve_blocks(system: CoupledSystem, b):
@@ -193,7 +191,7 @@ def _by_capacity(solved, uncoupled, transposed: bool):
         assert turned.coupling is not None
         factors = _factors(turned.blocks, turned.coupling)
         branches = [partial(solved, capacity) for capacity in system.coupling.capacities]
-        return lax.switch(system.coupling.pairs.capacity - 1, branches, system, factors, b)
+        return lax.switch(system.coupling.level, branches, system, factors, b)
 
     def one(system: CoupledSystem, b):
         return lax.cond(_uncoupled(system, b), uncoupled, coupled, system, b)

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from rodjax.equations.assembly import Scales
 from rodjax.interactions.contact import Contact
@@ -41,6 +41,11 @@ class Coupling(eqx.Module):
     def width(self) -> int:
         """Components of what acts on a vertex: 3, or 6 with the moments of friction."""
         return self.left.shape[2]
+
+    @property
+    def level(self) -> Int[Array, ""]:
+        """Which of the capacities holds the pairs; of none the first."""
+        return jnp.maximum(self.pairs.capacity - 1, 0)
 
     def held(self, projectors: Float[Array, "h 6 6"], nodes: tuple[Node, ...]) -> "Coupling":
         """The same contact, without friction, of a rod that is held so."""
