@@ -124,7 +124,7 @@ def test_rods_held_at_random(compliance):
 )
 def test_strands_in_contact_held_at_random(elements, segments, front, monkeypatch):
     """By nodes, by joints, and along the strip that the strands form."""
-    contact = rx.Contact(InversePower(1e-4, 3.0), segments, 0.1, exclusion=0.3)
+    contact = rx.Contact(InversePower(1e-4, 3.0), segments, 0.12, exclusion=0.3)
     if front is not None:
         whole = contact_capacities.capacities(contact, elements)[-1]
         for module in (screening, coupling):
@@ -140,7 +140,7 @@ def test_strands_in_contact_held_at_random(elements, segments, front, monkeypatc
 @pytest.mark.slow
 def test_lanes_in_contact_and_out_of_it():
     rod = hairpin(12)
-    contact = rx.Contact(InversePower(1e-4, 3.0), 16, 0.1, exclusion=0.3)
+    contact = rx.Contact(InversePower(1e-4, 3.0), 16, 0.12, exclusion=0.3)
     cases = list(random_cases(rod, 3, 5.0, contact))
     parted = lambda state: dataclasses.replace(
         state, position=state.position.at[7:, 0].add(0.3), force=3.0 * state.force

@@ -166,6 +166,6 @@ def test_rings_touch_each_other_but_not_their_own_neighbours():
     position, still = loose.rod.position, jnp.zeros_like(loose.rod.position)
     assert float(report(loose.contact, loose.rod, position, still).total) > 1.0
     # moved onto each other they push
-    moved = position.at[scene.rod.parts[2].nodes, 0].add(0.8 / (2 * np.pi) - 0.018)
+    moved = position.at[scene.rod.parts[2].nodes, 0].add(0.8 / (2 * np.pi) - 0.016)
     pushed = report(scene.contact, scene.rod, moved, still)
     assert 0.3 < float(pushed.smallest) < 1 and float(pushed.total) > 1.0
