@@ -56,7 +56,7 @@ def heap(count: int, elements: int) -> rx.Scene:
         carried,
         indentation=0.1,
         friction=rx.SlidingFriction(MU, SLIP_SPEED),
-        capacities=(16, 64, 128, 10_000),  # a heap touches in more places than by default, and few
+        capacities=(16, 64, 96, 10_000),  # a heap touches in more places than by default, and few
         relaxation=0.5 * critical,
     )
     loads = (rx.Gravity((0, 0, -GRAVITY)), floor)

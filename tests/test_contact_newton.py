@@ -113,8 +113,11 @@ def test_pairs_are_summed_at_nodes_as_by_way_of_vertices(bent, width, monkeypatc
     for count in (int(pairs.count), 1, 0):
         derivative = jnp.asarray(np.where(np.arange(len(values)) < count, values.T, 0.0).T)
         few = pairs._replace(count=jnp.asarray(count, jnp.int32))
+        acts = jnp.any(derivative != 0, (1, 2, 3, 4))
+        acting = coupling.Acting.of(acts, few, sites, 15, (whole,))
         one = jnp.ones(width)
-        pushed = coupling.Coupling(sites, few, derivative, (one, one), nothing, nothing, (whole,))
+        given = sites, few, acting, derivative, (one, one), nothing, nothing, (whole,)
+        pushed = coupling.Coupling(*given)
         found = []
         for most in (0, 10_000):
             monkeypatch.setattr(dense_elimination, "_FEW", most)

@@ -179,7 +179,7 @@ def _solve_transpose_blocks(system: CoupledSystem, b):
 
 def _uncoupled(system: CoupledSystem, b):
     assert system.coupling is not None
-    return system.coupling.pairs.capacity == 0
+    return ~system.coupling.acts
 
 
 def _by_capacity(solved, uncoupled, transposed: bool):

@@ -9,19 +9,62 @@ from typing import NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
 from rodjax.equations.assembly import Scales
 from rodjax.interactions.contact import Contact
 from rodjax.interactions.contact_capacities import Capacity, capacities
 from rodjax.interactions.contact_forces import forces_and_derivative, rates_of
+from rodjax.interactions.involved import Involved, chosen_first, involve
 from rodjax.interactions.pair_points import vertices_of
 from rodjax.interactions.screening import NearPairs
 from rodjax.interactions.self_contact import FoundContact, on_nodes
 from rodjax.interactions.sites import Sites, interpolate, spread
 from rodjax.numerics import rotations
+from rodjax.rods.rod import Rod
 from rodjax.rods.state import NodeMotion
 from rodjax.scenes.holds import Node, with_row
+
+
+class Acting(NamedTuple):
+    """Which of the near pairs act, with a derivative that is not zero, and what they involve.
+
+    Strands near each other are many more than touch, where they cross and where they part.
+    """
+
+    place: Int[Array, " q"]  # all places of the list, those of pairs that act first
+    count: Int[Array, ""]
+    capacity: Int[Array, ""]  # 0: no pair; k: the k-th size holds them, see `NearPairs.capacity`
+    involved: Involved
+
+    @classmethod
+    def of(
+        cls,
+        acts: Bool[Array, " q"],
+        pairs: NearPairs,
+        sites: Sites,
+        nodes: int,
+        sizes: tuple[Capacity, ...],
+    ) -> "Acting":
+        """Of the pairs so marked.
+
+        A smaller dense system than that for what is near may hold them; a front is of what is near.
+        """
+        listed = jnp.arange(len(acts), dtype=jnp.int32) < pairs.count
+        place, _, count = chosen_first(acts & listed)
+        first, second = pairs.first[place], pairs.second[place]
+        involved = involve(first, second, count, sites, nodes, sizes)
+        fits = involved.fits & jnp.asarray([size.front is None for size in sizes])
+        smaller = jnp.minimum(pairs.capacity, jnp.argmax(fits).astype(jnp.int32) + 1)
+        capacity = jnp.where(jnp.any(fits), smaller, pairs.capacity)
+        return cls(place, count, jnp.where(count == 0, 0, capacity), involved)
+
+
+class Strand(NamedTuple):
+    """How many vertices and nodes one of several rods has."""
+
+    vertices: int
+    nodes: int
 
 
 class Coupling(eqx.Module):
@@ -29,6 +72,7 @@ class Coupling(eqx.Module):
 
     sites: Sites
     pairs: NearPairs
+    acting: Acting
     derivative: Float[Array, "q 4 4 w w"]  # of minus the force by the vertices
     # its scales, of the components of a force and of a displacement: applied to sums and not to the
     # list, which is as long as all that might touch
@@ -36,6 +80,7 @@ class Coupling(eqx.Module):
     left: Float[Array, "nodes 9 w"]  # where a force on a node enters its block row
     right: Float[Array, "nodes 9 w"]  # where a node's displacement stands in its block column
     capacities: tuple[Capacity, ...] = eqx.field(static=True)  # sizes with a solver
+    strands: tuple[Strand, ...] = eqx.field(static=True, default=())  # of several rods
 
     @property
     def width(self) -> int:
@@ -44,8 +89,13 @@ class Coupling(eqx.Module):
 
     @property
     def level(self) -> Int[Array, ""]:
-        """Which of the capacities holds the pairs; of none the first."""
-        return jnp.maximum(self.pairs.capacity - 1, 0)
+        """Which of the capacities holds the pairs that act; of none the first."""
+        return jnp.maximum(self.acting.capacity - 1, 0)
+
+    @property
+    def acts(self) -> Bool[Array, ""]:
+        """Whether it is not zero."""
+        return self.acting.capacity > 0
 
     def held(self, projectors: Float[Array, "h 6 6"], nodes: tuple[Node, ...]) -> "Coupling":
         """The same contact, without friction, of a rod that is held so."""
@@ -68,15 +118,24 @@ class Coupling(eqx.Module):
         """L K R^T b, pair by pair."""
         return self.push(interpolate(self.sites, jnp.einsum("jrk,jr->jk", self.right, b)))
 
-    def push(self, moved: Float[Array, "j w"], most: int | None = None) -> Float[Array, "nodes 9"]:
-        """L K times displacements of the vertices, pair by pair, of so many pairs at most."""
-        index = jnp.stack(vertices_of(self.pairs), 1)[:most]
+    def push(
+        self, moved: Float[Array, "j w"], capacity: Capacity | None = None
+    ) -> Float[Array, "nodes 9"]:
+        """L K times displacements of the vertices, pair by pair, of those that a capacity holds."""
+        index, derivative = jnp.stack(vertices_of(self.pairs), 1), self.derivative
+        if capacity is not None:
+            index, derivative = self.first_acting(capacity)
         of_force, of_motion = self.units
-        force = jnp.einsum(
-            "qijkl,qjl->qik", self.derivative[:most], (moved * of_motion[None])[index]
-        )
+        force = jnp.einsum("qijkl,qjl->qik", derivative, (moved * of_motion[None])[index])
         force = jnp.zeros_like(moved).at[index].add(force) * of_force[None]
         return jnp.einsum("jrk,jk->jr", self.left, spread(self.sites, force, len(self.left)))
+
+    def first_acting(
+        self, capacity: Capacity
+    ) -> tuple[Int[Array, "q 4"], Float[Array, "q 4 4 w w"]]:
+        """Vertices and derivative of as many pairs as a capacity holds, those that act first."""
+        place = self.acting.place[: capacity.pairs]
+        return jnp.stack(vertices_of(self.pairs), 1)[place], self.derivative[place]
 
 
 def _balances(
@@ -111,6 +170,7 @@ class Following(NamedTuple):
 
 def couple(
     contact: Contact,
+    rod: Rod,
     found: FoundContact,
     motion: NodeMotion,
     following: Following | None,
@@ -143,8 +203,20 @@ def couple(
         right = jnp.concatenate([right, spins], 2)
     at = capacities(contact, count - 1)
     units = scales.length / scales.force * units, units
-    coupling = Coupling(sites, pairs, between.derivative, units, left, right, at)
+    assert between.acts is not None
+    acting = Acting.of(between.acts, pairs, sites, count, at)
+    coupling = Coupling(
+        sites, pairs, acting, between.derivative, units, left, right, at, _strands(contact, rod)
+    )
     return on_nodes(spread(sites, between.force, count), motion), coupling
+
+
+def _strands(contact: Contact, rod: Rod) -> tuple[Strand, ...]:
+    """How many vertices and nodes each of several rods has."""
+    if not rod.breaks:
+        return ()
+    nodes = (part.last - part.first + 1 for part in rod.strands)
+    return tuple(Strand(g + 1, n) for g, n in zip(contact.shared, nodes, strict=True))
 
 
 def _turned(motion: NodeMotion, following: Following):

@@ -3,8 +3,11 @@
 Of A + L K R^T the block-tridiagonal A is eliminated, which leaves a dense system for the
 displacements of the vertices in contact (Woodbury's identity in the form that needs no inverse of
 K). Where the grid is coarser than the contact's segments, the nodes between which the vertices lie
-take the vertices' place: they are fewer. Its cost grows with the cube of what touches.
+take the vertices' place: they are fewer. Its cost grows with the cube of what touches. Of several
+rods, which A does not couple, the columns of one right side serve one vertex of each.
 """
+
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -44,7 +47,8 @@ class DenseElimination(eqx.Module):
 
         The factors are those of the blocks.
         """
-        response = _response(factors, coupling, capacity, _derivative(coupling, capacity))
+        derivative = _derivative(coupling, capacity)
+        response = _response(factors, coupling, capacity, derivative)
         eye = jnp.eye(len(response), dtype=response.dtype)
         lu, _, order = lax.linalg.lu(eye + response)
         return cls(coupling, capacity, factors, lu, order)
@@ -59,7 +63,7 @@ class DenseElimination(eqx.Module):
                 self.lu, right, left_side=True, lower=lower, unit_diagonal=lower
             )
         moved = _vertices(self.coupling, right[:, 0], self.capacity)
-        pushed = self.coupling.push(moved, self.capacity.pairs)
+        pushed = self.coupling.push(moved, self.capacity)
         return free - self.factors.solve(pushed[:, :, None])[:, :, 0]
 
     def sign(self, blocks: BlockTridiagonal) -> Float[Array, ""]:
@@ -86,8 +90,10 @@ class DenseElimination(eqx.Module):
         size = coupling.width * capacity.points
         eye = jnp.eye(size, dtype=self.lu.dtype)
         derivative = _derivative(coupling, capacity).reshape(size, size)
-        units = eye.reshape(-1, coupling.width, size)
-        given = _response(self.factors, coupling, capacity, units)
+        given = _by_each(self.factors, coupling, capacity)
+        if given is None:
+            units = eye.reshape(-1, coupling.width, size)
+            given = _responses(self.factors, coupling, capacity, units)
         matrix = jnp.block([[-given, -eye], [-eye, derivative]])
         pivots = blocks.pivots(self.factors)[:, np.array(AS_COLUMNS)]
         return negative_in_all(pivots) + negative_in_all(matrix[None]) - size
@@ -109,14 +115,14 @@ class DenseElimination(eqx.Module):
 
 def _derivative(coupling: Coupling, capacity: Capacity) -> Float[Array, "m w k"]:
     """Forces on the vertices in contact, or on their nodes, by displacements of these."""
-    pairs, width = coupling.pairs, coupling.width
-    if pairs.nodes is None:
+    nodes, width = coupling.acting.involved.nodes, coupling.width
+    if nodes is None:
         blocks = _between_vertices(coupling, capacity)
     elif capacity.vertices > _FEW and jax.default_backend() == "cpu":
         blocks = _between_nodes(coupling, capacity)
     else:
         blocks = _between_vertices(coupling, capacity)
-        weight = _weights(coupling, capacity.vertices)[pairs.nodes[: capacity.nodes]]
+        weight = _weights(coupling, capacity.vertices)[nodes[: capacity.nodes]]
         blocks = jnp.einsum("na,abij,mb->nmij", weight, blocks, weight)
     of_force, of_motion = coupling.units
     blocks = (of_force[:, None] * of_motion[None, :])[None, None] * blocks
@@ -125,12 +131,13 @@ def _derivative(coupling: Coupling, capacity: Capacity) -> Float[Array, "m w k"]
 
 def _between_vertices(coupling: Coupling, capacity: Capacity) -> Float[Array, "v v w w"]:
     """Sum of the pairs' derivatives, by the vertices in contact."""
-    pairs, size, width = coupling.pairs, capacity.vertices, coupling.width
-    rank = jnp.stack([pairs.rank[vertex[: capacity.pairs]] for vertex in vertices_of(pairs)], 1)
+    size, width = capacity.vertices, coupling.width
+    vertex, derivative = coupling.first_acting(capacity)
+    rank = coupling.acting.involved.rank[vertex]
     # scattered by whole blocks, which is faster than by numbers
     blocks = jnp.zeros((size, size, width, width), coupling.derivative.dtype)
     index = (rank[:, :, None], rank[:, None, :])
-    return blocks.at[index].add(coupling.derivative[: capacity.pairs], mode="drop")
+    return blocks.at[index].add(derivative, mode="drop")
 
 
 def _between_nodes(coupling: Coupling, capacity: Capacity) -> Float[Array, "n n w w"]:
@@ -139,18 +146,18 @@ def _between_nodes(coupling: Coupling, capacity: Capacity) -> Float[Array, "n n 
     Of vertices in the hundreds the sum by vertices would be a large and nearly empty matrix, whose
     products with the weights cost more than all else of an elimination.
     """
-    sites, pairs, width = coupling.sites, coupling.pairs, coupling.width
+    sites, acting, width = coupling.sites, coupling.acting, coupling.width
     number = jnp.arange(len(coupling.left), dtype=jnp.int32)
-    rank = jnp.zeros_like(number).at[pairs.nodes].set(number)
+    rank = jnp.zeros_like(number).at[acting.involved.nodes].set(number)
     seat, weight = rank[sites.nodes], sites.weight
-    room = capacity.pairs
+    room, corners = capacity.pairs, jnp.stack(vertices_of(coupling.pairs), 1)
 
     def added(part, blocks):
         listed = part * _TOGETHER + jnp.arange(_TOGETHER, dtype=jnp.int32)
-        at = jnp.minimum(listed, room - 1)
-        vertex = jnp.stack([index[at] for index in vertices_of(pairs)], 1)
+        at = acting.place[jnp.minimum(listed, room - 1)]
+        vertex = corners[at]
         # of nodes without weight nothing is added, though they may have no place
-        used = (listed < pairs.count)[:, None, None]
+        used = (listed < acting.count)[:, None, None]
         own, by = jnp.where(used, weight[vertex], 0.0), weight[vertex]
         share = own[:, :, None, :, None] * by[:, None, :, None, :]
         values = share[..., None, None] * coupling.derivative[at][:, :, :, None, None]
@@ -158,7 +165,7 @@ def _between_nodes(coupling: Coupling, capacity: Capacity) -> Float[Array, "n n 
         return blocks.at[row, column].add(values, mode="drop")
 
     blocks = jnp.zeros((capacity.points, capacity.points, width, width), weight.dtype)
-    count = jnp.minimum(largest(pairs.count), room)
+    count = jnp.minimum(largest(acting.count), room)
     return lax.fori_loop(0, (count + _TOGETHER - 1) // _TOGETHER, added, blocks)
 
 
@@ -166,17 +173,17 @@ def _on_nodes(
     coupling: Coupling, capacity: Capacity, rows: Float[Array, "m w k"]
 ) -> Float[Array, "nodes w k"]:
     """Forces on all nodes from those on the vertices in contact, or on their nodes."""
-    pairs = coupling.pairs
-    if pairs.nodes is None:
+    nodes = coupling.acting.involved.nodes
+    if nodes is None:
         weight = _weights(coupling, capacity.vertices)
         return (weight @ rows.reshape(len(rows), -1)).reshape(-1, *rows.shape[1:])
     nothing = jnp.zeros((coupling.left.shape[0], *rows.shape[1:]), rows.dtype)
-    return nothing.at[pairs.nodes[: capacity.nodes]].set(rows)
+    return nothing.at[nodes[: capacity.nodes]].set(rows)
 
 
 def _weights(coupling: Coupling, size: int) -> Float[Array, "nodes m"]:
     """Interpolation weights of the first vertices, those in contact among them, at the nodes."""
-    sites, chosen = coupling.sites, coupling.pairs.order[:size]
+    sites, chosen = coupling.sites, coupling.acting.involved.order[:size]
     node = jnp.arange(coupling.left.shape[0], dtype=jnp.int32)[:, None, None]
     at = node == sites.nodes[chosen][None]
     return jnp.sum(jnp.where(at, sites.weight[chosen][None], 0.0), 2)
@@ -186,15 +193,15 @@ def _read(
     coupling: Coupling, nodal: Float[Array, "nodes w c"], capacity: Capacity
 ) -> Float[Array, "k c"]:
     """Displacements of the vertices in contact, or of their nodes, from those of all nodes."""
-    sites, pairs = coupling.sites, coupling.pairs
-    if pairs.nodes is None:
-        chosen = pairs.order[: capacity.vertices]
+    sites, involved = coupling.sites, coupling.acting.involved
+    if involved.nodes is None:
+        chosen = involved.order[: capacity.vertices]
         at, weight = sites.nodes[chosen], sites.weight[chosen]
         # term by term, since XLA would store the gathered nodes of all terms
         terms = [weight[:, j, None, None] * nodal[at[:, j]] for j in range(at.shape[1])]
         found = sum(terms[1:], terms[0])
     else:
-        found = nodal[pairs.nodes[: capacity.nodes]]
+        found = nodal[involved.nodes[: capacity.nodes]]
     return found.reshape(-1, nodal.shape[2])
 
 
@@ -202,23 +209,81 @@ def _vertices(
     coupling: Coupling, displacement: Float[Array, " k"], capacity: Capacity
 ) -> Float[Array, "j w"]:
     """Displacements of all vertices from those of the vertices in contact, or of their nodes."""
-    given, pairs = displacement.reshape(-1, coupling.width), coupling.pairs
-    if pairs.nodes is None:
-        every = jnp.zeros((pairs.order.shape[0], coupling.width), given.dtype)
-        return every.at[pairs.order[: capacity.vertices]].set(given)
+    given, involved = displacement.reshape(-1, coupling.width), coupling.acting.involved
+    if involved.nodes is None:
+        every = jnp.zeros((involved.order.shape[0], coupling.width), given.dtype)
+        return every.at[involved.order[: capacity.vertices]].set(given)
     nodal = jnp.zeros((coupling.left.shape[0], coupling.width), given.dtype)
-    return interpolate(coupling.sites, nodal.at[pairs.nodes[: capacity.nodes]].set(given))
+    return interpolate(coupling.sites, nodal.at[involved.nodes[: capacity.nodes]].set(given))
+
+
+class _Seats(NamedTuple):
+    """The points, vertices or nodes, by the rods that they are of."""
+
+    rod: Int[Array, " m"]
+    seat: Int[Array, " m"]  # number among the points of this rod
+    most: int  # seats of a rod
+
+
+def _seats(coupling: Coupling, capacity: Capacity) -> _Seats | None:
+    """Of the points in contact; None where one rod may have more than half of them."""
+    involved, strands = coupling.acting.involved, coupling.strands
+    if involved.nodes is None:
+        points, counts = involved.order, [strand.vertices for strand in strands]
+    else:
+        points, counts = involved.nodes, [strand.nodes for strand in strands]
+    most = max(counts, default=capacity.points)
+    if 2 * most > capacity.points:
+        return None
+    rods = np.repeat(np.arange(len(counts), dtype=np.int32), counts)
+    # bodies come last; they are in contact with nothing here
+    rods = np.pad(rods, (0, len(points) - len(rods)), constant_values=len(counts))
+    rod = jnp.asarray(rods)[points[: capacity.points]]
+    own = rod[:, None] == jnp.arange(len(counts) + 1, dtype=jnp.int32)[None]
+    before = jnp.cumsum(own.astype(jnp.int32), 0, dtype=jnp.int32) - 1
+    seat = jnp.take_along_axis(before, rod[:, None], 1)[:, 0]
+    return _Seats(rod, seat, most)
+
+
+def _by_each(
+    factors: Factors, coupling: Coupling, capacity: Capacity
+) -> Float[Array, "k k"] | None:
+    """R^T A^-1 L between the points in contact of several rods; None where that does not pay."""
+    seats = _seats(coupling, capacity)
+    if seats is None:
+        return None
+    width, size = coupling.width, capacity.points
+    acting = jnp.arange(size, dtype=jnp.int32) < coupling.acting.involved.count
+    unit = jnp.arange(seats.most, dtype=jnp.int32)[None] == seats.seat[:, None]
+    unit = unit & acting[:, None]
+    eye = jnp.eye(width, dtype=factors.inverse.dtype)
+    forces = jnp.where(unit[:, None, :, None], eye[None, :, None, :], 0.0)
+    forces = forces.reshape(size, width, seats.most * width)
+    found = _responses(factors, coupling, capacity, forces)
+    found = found.reshape(size, width, seats.most, width)[:, :, seats.seat]
+    same = seats.rod[:, None] == seats.rod[None, :]
+    return jnp.where(same[:, None, :, None], found, 0.0).reshape(size * width, size * width)
 
 
 def _response(
-    factors: Factors, coupling: Coupling, capacity: Capacity, rows: Float[Array, "m w k"]
+    factors: Factors, coupling: Coupling, capacity: Capacity, derivative: Float[Array, "m w k"]
 ) -> Float[Array, "k k"]:
+    """R^T A^-1 L K, of the points in contact."""
+    # A^-1 (L K) and not (A^-1 L) K, a product of large matrices less, unless that has few columns
+    by_each = _by_each(factors, coupling, capacity)
+    if by_each is None:
+        return _responses(factors, coupling, capacity, derivative)
+    return by_each @ derivative.reshape(len(by_each), -1)
+
+
+def _responses(
+    factors: Factors, coupling: Coupling, capacity: Capacity, rows: Float[Array, "m w k"]
+) -> Float[Array, "l k"]:
     """R^T A^-1 L times forces on the vertices in contact, or on their nodes: what these move by.
 
     A part of the columns after the other, as far as there are forces: what touches is first, and
     may be much less than the capacity holds. On accelerators all at once.
     """
-    # A^-1 (L K), not (A^-1 L) K: a product of large matrices less
     carried = jnp.concatenate([factors.inverse @ coupling.left, -factors.lower], 2)
 
     def moved(part):
@@ -238,7 +303,8 @@ def _response(
         return lax.dynamic_update_slice_in_dim(found, moved(part), at, 1)
 
     parts = (largest(last) + _COLUMNS - 1) // _COLUMNS
-    return lax.fori_loop(0, parts, some, jnp.zeros((size, len(given)), rows.dtype))[:, :size]
+    height = rows.shape[0] * rows.shape[1]
+    return lax.fori_loop(0, parts, some, jnp.zeros((height, len(given)), rows.dtype))[:, :size]
 
 
 def _displaced(

@@ -193,7 +193,8 @@ class Equations(eqx.Module, Generic[Scheme]):
             found_contact = self.scene.find_contact(motion.position)
         held = self.projectors, self.scene.held_nodes
         following = None if slopes is None else Following(slopes.by_velocity, placed.increment)
-        push, coupling = couple(contact, found_contact, motion, following, *held, self.scales)
+        given = contact, self.scene.rod, found_contact, motion, following
+        push, coupling = couple(*given, *held, self.scales)
         return (push,), coupling
 
     def _of_moments(self, push: Acting) -> Float[Array, "nodes 6 6"] | None:

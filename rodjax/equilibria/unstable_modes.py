@@ -100,17 +100,18 @@ def _count(equations: Equations[AtRest], x, added: Float[Array, "nodes 6"]) -> I
     motion = equations.motion(x)
     found = scene.find_contact(motion.position)
     nowhere = jnp.zeros((0, 6, 6), x.dtype), ()
-    coupling = couple(scene.contact, found, motion, None, *nowhere, equations.scales)[1]
+    given = scene.contact, scene.rod, found, motion, None
+    coupling = couple(*given, *nowhere, equations.scales)[1]
     derivative = jnp.where(even, coupling.symmetric().derivative, coupling.derivative)
     coupling = dataclasses.replace(coupling, derivative=derivative)
     apart = lambda blocks, coupling, *rest: counted(CoupledSystem(blocks), *rest)
     touching = lambda blocks, coupling, *rest: counted(CoupledSystem(blocks, coupling), *rest)
 
     def one(blocks, coupling, *rest):
-        return lax.cond(coupling.pairs.capacity > 0, touching, apart, blocks, coupling, *rest)
+        return lax.cond(coupling.acts, touching, apart, blocks, coupling, *rest)
 
     # under `vmap` those that touch one by one
-    easy = lambda blocks, coupling, *rest: coupling.pairs.capacity == 0
+    easy = lambda blocks, coupling, *rest: ~coupling.acts
     return one_by_one(one, (easy, apart))(blocks, coupling, *held)
 
 

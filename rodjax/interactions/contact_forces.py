@@ -41,6 +41,7 @@ class PairForces(NamedTuple):
     smallest: Float[Array, ""]  # least d/D of the points that act; infinite without one
     total: Float[Array, ""]  # sum of the magnitudes of all forces between points [N]
     rubbed: Rubbed | None = None  # by friction, if there is any
+    acts: Bool[Array, " q"] | None = None  # whether a pair's derivative is not zero
 
 
 @eqx.filter_custom_jvp
@@ -93,6 +94,7 @@ def _no_pairs(vertices, contact, sites, pairs, rates, by_velocity) -> PairForces
         jnp.asarray(jnp.inf, dtype),
         zero,
         None if contact.friction is None else Rubbed(zero, zero, zero),
+        jnp.zeros(pairs.first.shape, bool),
     )
 
 
@@ -143,6 +145,7 @@ def _joined(pairs: NearPairs, vertices, found: PairForces) -> PairForces:
         jnp.min(found.smallest),
         jnp.sum(found.total),
         jax.tree.map(jnp.sum, found.rubbed),
+        None if found.acts is None else flat(found.acts),
     )
 
 
@@ -214,7 +217,7 @@ def _blocks(contact, sites, pairs, vertices, rates, by_velocity):
         mix, n, friction = points.mix, points.passing.normal, contact.friction
         if by_velocity is None:
             p = jnp.where(points.acts, points.magnitude(contact, *points.inputs), 0.0)
-            h, rubbed = None, None
+            h, acts, rubbed = None, None, None
             if friction is not None:
                 rubbed = strand_friction.traction(friction, p, points.passing)
         else:
@@ -229,6 +232,7 @@ def _blocks(contact, sites, pairs, vertices, rates, by_velocity):
                 h = jnp.pad(h, 3 * ((0, 0),) + 2 * ((0, 3),))
                 h = h + strand_friction.by_vertices(mix, *own, by_load)
                 rubbed = jnp.moveaxis(found.friction.force, -1, 0)
+            acts = jnp.any(h != 0, (1, 2, 3, 4))
         force = jnp.einsum("abi,kqab->qik", mix, p[None] * n)
         ratio = jnp.min(jnp.where(p != 0, points.distance / points.pair.diameter, jnp.inf))
         total, sums = jnp.sum(jnp.abs(p)), None
@@ -241,12 +245,13 @@ def _blocks(contact, sites, pairs, vertices, rates, by_velocity):
             pressed = jnp.sum(jnp.maximum(p, 0.0))
             power = -jnp.sum(rubbed * points.passing.slip)
             sums = Rubbed(jnp.sum(size), friction.coefficient * pressed, power)
-        return PairForces(force, h, ratio, total, sums)
+        return PairForces(force, h, ratio, total, sums, acts)
 
     zeros, width = lambda *shape: jnp.zeros(shape, vertices.dtype), contact.width
     derivative = None if by_velocity is None else zeros(BLOCK, 4, 4, width, width)
     sums = None if contact.friction is None else Rubbed(zeros(), zeros(), zeros())
-    empty = PairForces(zeros(BLOCK, 4, width), derivative, zeros() + jnp.inf, zeros(), sums)
+    none = None if by_velocity is None else jnp.zeros((BLOCK,), bool)
+    empty = PairForces(zeros(BLOCK, 4, width), derivative, zeros() + jnp.inf, zeros(), sums, none)
     return evaluate, (*blocks_of(pairs), contact.dual), empty
 
 

@@ -17,6 +17,7 @@ from rodjax.interactions.contact import Contact
 from rodjax.interactions.contact_capacities import BLOCK, capacities
 from rodjax.interactions.contact_graph import Graph
 from rodjax.interactions.contact_laws import PairProperties
+from rodjax.interactions.involved import chosen_first, involve
 from rodjax.interactions.sites import Sites, along, around_of, interpolate
 from rodjax.numerics import newton
 from rodjax.numerics.batching import largest, only_where
@@ -24,14 +25,11 @@ from rodjax.numerics.closest import closest
 
 
 class NearPairs(NamedTuple):
-    """Outcome of the search: pairs of segments, the vertices they involve, the nodes of these."""
+    """Outcome of the search: pairs of segments, and what eliminates so many of them."""
 
     first: Int[Array, " q"]  # segment nearer to s = 0; beyond `count` meaningless but valid
     second: Int[Array, " q"]
     count: Int[Array, ""]  # pairs in the list
-    order: Int[Array, " j"]  # all vertices, those involved first
-    rank: Int[Array, " j"]  # place of each vertex in `order`
-    nodes: Int[Array, " nodes"] | None  # all, first those of such vertices; if needed
     capacity: Int[Array, ""]  # 0: no pair; k: the k-th of `contact_capacities` holds them
     overflow: Bool[Array, ""]  # pairs or vertices were left out
     graph: Graph | None = None  # of the pairs, where a capacity has use for it
@@ -118,7 +116,7 @@ def search(
         return _listed(reached(), sizes, sites, position.shape[0], touching)
 
     def none():
-        return _none_listed(sizes, sites, position.shape[0])
+        return _none_listed(sizes, position.shape[0])
 
     # most steps end here: nothing within the widest reach of all
     slack = jnp.zeros_like(half)
@@ -190,14 +188,11 @@ def _of_one_rod(idle: Bool[np.ndarray, " g"]) -> Bool[Array, "g g"]:
     return jnp.asarray(rod[:, None] == rod[None, :])
 
 
-def _none_listed(sizes, sites: Sites, nodes: int) -> NearPairs:
+def _none_listed(sizes, nodes: int) -> NearPairs:
     """The list of no pairs."""
-    room, vertices = sizes[-1].pairs, sites.weight.shape[0]
-    no_pair, zero = jnp.zeros((room,), jnp.int32), jnp.asarray(0, jnp.int32)
-    every = jnp.arange(vertices, dtype=jnp.int32)
-    node = None if sizes[-1].nodes is None else jnp.arange(nodes, dtype=jnp.int32)
+    no_pair, zero = jnp.zeros((sizes[-1].pairs,), jnp.int32), jnp.asarray(0, jnp.int32)
     no, graph = jnp.asarray(False), _no_graph(sizes, nodes)
-    return NearPairs(no_pair, no_pair, zero, every, every, node, zero, no, graph)
+    return NearPairs(no_pair, no_pair, zero, zero, no, graph)
 
 
 def _no_graph(sizes, nodes: int) -> Graph | None:
@@ -210,31 +205,15 @@ def _listed(
     near: Bool[Array, "g g"], sizes, sites: Sites, nodes: int, touching: Callable
 ) -> NearPairs:
     """The list of those near pairs that are `touching`, and what they involve."""
-    room, vertices = sizes[-1].pairs, sites.weight.shape[0]
+    room = sizes[-1].pairs
     first, second = (
         index.astype(jnp.int32) for index in jnp.nonzero(near, size=room, fill_value=0)
     )
     before = jnp.sum(near).astype(jnp.int32)
     number = jnp.arange(room, dtype=jnp.int32)
-    place, _, count = _first(touching(first, second) & (number < before))
+    place, _, count = chosen_first(touching(first, second) & (number < before))
     first, second = first[place], second[place]
-    involved = jnp.zeros((vertices,), bool)
-    for segment in (first, second):
-        vertex = jnp.where(number < count, segment, vertices)
-        for at in (vertex, vertex + 1):
-            involved = involved.at[at].set(True, mode="drop")
-    order, rank, involving = _first(involved)
-    holds = lambda numbers: jnp.asarray(numbers, jnp.int32)
-    fits = (involving <= holds([size.vertices for size in sizes])) & (
-        count <= holds([size.pairs for size in sizes])
-    )
-    node = None
-    if sizes[-1].nodes is not None:
-        between = jnp.zeros((nodes,), jnp.int32).at[sites.nodes]
-        touched = involved[:, None] & (sites.weight != 0)
-        between = between.add(touched.astype(jnp.int32)) > 0
-        node, _, count_nodes = _first(between)
-        fits = fits & (count_nodes <= holds([size.nodes for size in sizes]))
+    fits = involve(first, second, count, sites, nodes, sizes).fits
     graph = no_graph = _no_graph(sizes, nodes)
     if no_graph is not None:
         fronts = [index for index, size in enumerate(sizes) if size.front is not None]
@@ -250,17 +229,7 @@ def _listed(
     capacity = jnp.where(overflow, len(sizes), jnp.argmax(fits) + 1)
     capacity = jnp.where(count == 0, 0, capacity).astype(jnp.int32)
     count = jnp.minimum(count, room)
-    return NearPairs(first, second, count, order, rank, node, capacity, overflow, graph)
-
-
-def _first(chosen: Bool[Array, " k"]) -> tuple[Int[Array, " k"], Int[Array, " k"], Int[Array, ""]]:
-    """All indices, the chosen ones first; the place of each; how many are chosen."""
-    ones = chosen.astype(jnp.int32)
-    count = jnp.sum(ones, dtype=jnp.int32)
-    index = jnp.arange(chosen.shape[0], dtype=jnp.int32)
-    before = jnp.cumsum(ones, dtype=jnp.int32) - ones
-    place = jnp.where(chosen, before, count + index - before)
-    return jnp.zeros_like(place).at[place].set(index), place, count
+    return NearPairs(first, second, count, capacity, overflow, graph)
 
 
 def approach_limit(
