@@ -8,10 +8,12 @@ import jax.numpy as jnp
 import pytest
 
 from rodjax.constraints.ends import Clamped, Slider, Switched
+from rodjax.dynamics.fixed_rollout import rollout
 from rodjax.dynamics.stepping import prepare, step
 from rodjax.interactions.contact import Contact
 from rodjax.interactions.contact_laws import InversePower
 from rodjax.interactions.loads import Gravity, MorisonDrag
+from rodjax.numerics import newton
 from rodjax.rods.builders import straight_rod
 from rodjax.rods.section import Section
 from rodjax.scenes.placing import placing
@@ -87,3 +89,28 @@ def test_every_part_adds_operations_of_its_own(programs):
     assert counts["bare"] < counts["rotary inertia"]
     for name in ("compliance", "gravity", "drag", "switch", "contact"):
         assert counts["rotary inertia"] < counts[name], name
+
+
+def test_the_derivative_of_a_rollout_is_traced_once(monkeypatch):
+    """That of one step, though the state has a tangent only after the first."""
+    scene = SCENES["bare"]
+    state, times = placing(scene), jnp.linspace(0.01, 0.04, 4)
+    traced, tangent = [], newton._tangent
+    monkeypatch.setattr(newton, "_tangent", lambda *given: traced.append(1) or tangent(*given))
+    heavy = lambda factor: eqx.tree_at(lambda one: one.rod.mass, scene, factor * scene.rod.mass)
+
+    def one(factor):
+        return jnp.sum(step(heavy(factor), state, times[0])[0].position)
+
+    def all_of_them(factor):
+        return jnp.sum(rollout(heavy(factor), state, times, throw=False).final.position)
+
+    def count(function):
+        jax.clear_caches()
+        traced.clear()
+        jax.jit(function).trace(jnp.asarray(1.0))
+        return len(traced)
+
+    forward = lambda function: lambda x: jax.jvp(function, (x,), (jnp.ones_like(x),))
+    for derivative in (jax.grad, forward):
+        assert count(derivative(all_of_them)) == count(derivative(one)) > 0

@@ -22,6 +22,7 @@ from rodjax.equations.overlap import check_apart, distances_held
 from rodjax.inputs.argument_types import AnyArray
 from rodjax.inputs.validation import all_known, check_instance, check_integer
 from rodjax.numerics import newton, results
+from rodjax.numerics.carried import with_tangents
 from rodjax.numerics.compilation import compiled
 from rodjax.numerics.failure import not_a_number
 from rodjax.numerics.results import Result
@@ -168,7 +169,10 @@ def _rollout(scene, state, times, method, save_every):
 
     held = distances_held(scene)
     times = onto_switches(scene, state.time, times)
-    start = (state, jnp.asarray(0, jnp.int32))
+    # the time has the tangent of `times`, and a jerk is of a start alone
+    begun = with_tangents(state, (scene, times, method))
+    begun = dataclasses.replace(begun, time=state.time, jerk=state.jerk)
+    start = (begun, jnp.asarray(0, jnp.int32))
     (_, code), (saved, infos) = lax.scan(block, start, times.reshape(-1, save_every))
     infos = jax.tree.map(lambda leaf: leaf.reshape((-1, *leaf.shape[2:])), infos)
     steps = jnp.diff(times, prepend=state.time)

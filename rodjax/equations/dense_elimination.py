@@ -321,12 +321,13 @@ def _displaced(
         return current, current
 
     def backward(following, row):
-        upper, middle, right = row
+        upper, middle, read = row
         current = middle - upper @ following
         # only what is read is kept: all columns of a fine grid do not fit into the cache
-        return current, right.T @ current
+        return current, read @ current
 
     zero = jnp.zeros((9, forces.shape[2]), forces.dtype)
     _, middle = lax.scan(forward, zero, (carried, forces))
-    rows = (factors.upper, middle, coupling.right)
+    # transposed here: products with a transposed factor are slow ones
+    rows = (factors.upper, middle, jnp.swapaxes(coupling.right, 1, 2))
     return lax.scan(backward, zero, rows, reverse=True)[1]
