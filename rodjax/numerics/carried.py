@@ -31,5 +31,5 @@ def _beside_jvp(primals, tangents):
     kind = jax.tree.leaves(own)[0].dtype
     # zeros alone would count as no tangent: what is known has none in reverse mode
     none = [jnp.where(False, leaf.reshape(-1)[:1], 0.0) for leaf in jax.tree.leaves(given)]
-    none = sum(jnp.sum(one).astype(kind) for one in none)
+    none = sum((jnp.sum(one).astype(kind) for one in none), jnp.zeros((), kind))
     return primals[0], jax.tree.map(lambda leaf: leaf + none.astype(leaf.dtype), own)
