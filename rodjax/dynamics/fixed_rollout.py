@@ -164,7 +164,11 @@ def _rollout(scene, state, times, method, save_every):
 
     @again
     def block(carry, stops):
-        carry, infos = lax.scan(again(one), carry, stops)
+        if save_every == 1:  # a loop in a loop would be traced and compiled as such
+            carry, info = one(carry, stops[0])
+            infos = jax.tree.map(lambda leaf: leaf[None], info)
+        else:
+            carry, infos = lax.scan(again(one), carry, stops)
         return carry, (carry[0], infos)
 
     held = distances_held(scene)

@@ -52,11 +52,11 @@ class Contact(eqx.Module):
         exclusion: points closer than this along the rod never interact [m]; default 1.5 cutoff.
             Must not be less than the cut-off, or a straight rod would repel itself.
         capacities: numbers of vertices in contact for which a dense solver is compiled, increasing;
-            the smallest that fits is used at each step, and a run that outgrows the largest says
-            so. Default: 16, 64 and on by fours, and all vertices (on CPUs up to 3,100 unknowns,
-            three a vertex, or six with friction); beside them, on CPUs and where there are more
-            than a hundred, solvers for strips of strands whose cost is linear in the elements
-            (`contact_capacities`). Under `vmap` give one.
+            the smallest that holds what acts is taken, and a run in which more come near each other
+            than the largest holds says so. Default: 16, 64 and on by fours, and all vertices (on
+            CPUs up to 3,100 unknowns, three a vertex, or six with friction); beside them, on CPUs
+            and where there are more than a hundred, solvers for strips of strands whose cost is
+            linear in the elements (`contact_capacities`). Under `vmap` give one.
         pairs_per_segment: capacity of the list of near pairs, per vertex of `capacities`. Default:
             what two strands side by side need, by the rod of the scene; 4 where its length or the
             cut-off is not known, as in traced code.
