@@ -184,7 +184,8 @@ def crossing(rods):
 @pytest.mark.slow
 def test_rods_push_each_other(crossing):
     scene, state = crossing
-    assert scene.contact.shares == (36, 22)
+    # segments of 4 sqrt(0.05 0.95) diameters, laid out on the first of 1 m and the other of 0.6 m
+    assert scene.contact.shares == (58, 35)
     run = rx.adaptive_rollout(scene, state, 0.05)
     near = run.states.position[:, 10, 1] - run.states.position[:, 3, 1]
     assert 0.8 * 0.02 < np.min(near) < 0.02  # solid strands, that give way a little
