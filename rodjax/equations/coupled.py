@@ -182,7 +182,7 @@ def _uncoupled(system: CoupledSystem, b):
     return ~system.coupling.acts
 
 
-def _by_capacity(solved, uncoupled, transposed: bool):
+def _by_capacity(uncoupled, transposed: bool):
     """A solve by the solver for what is in contact, one lane of a batch after the other."""
 
     def coupled(system: CoupledSystem, b):
@@ -190,8 +190,10 @@ def _by_capacity(solved, uncoupled, transposed: bool):
         turned = system.transpose() if transposed else system
         assert turned.coupling is not None
         factors = _factors(turned.blocks, turned.coupling)
-        branches = [partial(solved, capacity) for capacity in system.coupling.capacities]
-        return lax.switch(system.coupling.level, branches, system, factors, b)
+        branches = [
+            partial(_solved, capacity, transposed) for capacity in system.coupling.capacities
+        ]
+        return lax.switch(system.coupling.level, branches, system, turned, factors, b)
 
     def one(system: CoupledSystem, b):
         return lax.cond(_uncoupled(system, b), uncoupled, coupled, system, b)
@@ -199,21 +201,24 @@ def _by_capacity(solved, uncoupled, transposed: bool):
     return one_by_one(one, (_uncoupled, uncoupled))
 
 
-def _solved(capacity: Capacity, system: CoupledSystem, factors: Factors, b):
-    assert system.coupling is not None
-    eliminated = _elimination(capacity).of(system.blocks, system.coupling, factors, capacity)
-    if capacity.front is None:
-        return eliminated.solve(b)
-    return _refined(eliminated.solve, system.multiply, b)
+def _solved(
+    capacity: Capacity,
+    transposed: bool,
+    system: CoupledSystem,
+    turned: CoupledSystem,
+    factors: Factors,
+    b: Float[Array, "nodes 9"],
+) -> Float[Array, "nodes 9"]:
+    """A solve of the turned system: the system itself, or transposed; the factors are its own.
 
-
-def _solved_transpose(capacity: Capacity, system: CoupledSystem, factors: Factors, b):
-    assert system.coupling is not None
-    turned = system.transpose()
+    A front is of the system itself either way.
+    """
+    assert system.coupling is not None and turned.coupling is not None
     if capacity.front is None:
-        return _solved(capacity, turned, factors, b)
+        return DenseElimination.of(turned.blocks, turned.coupling, factors, capacity).solve(b)
     eliminated = StripElimination.of(system.blocks, system.coupling, factors, capacity)
-    return _refined(eliminated.solve_transpose, turned.multiply, b)
+    solve = eliminated.solve_transpose if transposed else eliminated.solve
+    return _refined(solve, turned.multiply, b)
 
 
 def _refined(solve, multiply, b):
@@ -228,5 +233,5 @@ def _refined(solve, multiply, b):
     return jnp.where(lost, jnp.nan, x + solve(left))
 
 
-_solve = _by_capacity(_solved, _solve_blocks, transposed=False)
-_solve_transpose = _by_capacity(_solved_transpose, _solve_transpose_blocks, transposed=True)
+_solve = _by_capacity(_solve_blocks, transposed=False)
+_solve_transpose = _by_capacity(_solve_transpose_blocks, transposed=True)
