@@ -10,10 +10,15 @@ ROOT = Path(__file__).parents[1]
 
 def run_experiment(script: str, *arguments: str) -> str:
     """What the script prints; it must exit with 0."""
-    path = os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")])
+    return run_script(ROOT / "experiments" / script, *arguments)
+
+
+def run_script(path: Path, *arguments: str) -> str:
+    """What any script prints; it must exit with 0."""
+    found = os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")])
     done = subprocess.run(
-        [sys.executable, str(ROOT / "experiments" / script), *arguments],
-        env=os.environ | {"PYTHONPATH": path, "JAX_ENABLE_COMPILATION_CACHE": "0"},
+        [sys.executable, str(path), *arguments],
+        env=os.environ | {"PYTHONPATH": found, "JAX_ENABLE_COMPILATION_CACHE": "0"},
         capture_output=True,
         text=True,
         check=False,

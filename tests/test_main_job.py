@@ -9,7 +9,7 @@ import h5py
 import intertwine
 import numpy as np
 import pytest
-from experiment_runs import ROOT, run_experiment
+from experiment_runs import ROOT, run_experiment, run_script
 
 from rodjax import storage
 
@@ -156,7 +156,7 @@ def test_readme_runs_when_pasted(tmp_path, block):
     text = (ROOT / "README.md").read_text()
     script = tmp_path / "pasted.py"
     script.write_text(re.findall(r"```python\n(.*?)```", text, re.S)[block])
-    said = run(str(script))
+    said = run_script(script)
     if block == 1:
         assert "steps; the slider moved by 0." in said
     else:
