@@ -9,7 +9,6 @@ from rodjax.numerics.batching import only_where
 _PART = 3  # rows that are eliminated together
 
 
-@jax.jit  # so as to be traced once, of all the eliminations that a program has
 def divide(matrix: Float[Array, "b b"], columns: Float[Array, "b k"]) -> Float[Array, "b k"]:
     """The inverse of the matrix times the columns.
 
