@@ -27,6 +27,7 @@ from rodjax.equations.border import Border, BorderedSystem, EliminatedBorder, Ve
 from rodjax.equations.coupled import CoupledSystem
 from rodjax.numerics.block_tridiagonal import BlockTridiagonal
 from rodjax.scenes.holds import Node, impose, rows_at, with_part
+from rodjax.scenes.scene import Scene
 
 
 class Anchor(NamedTuple):
@@ -34,6 +35,15 @@ class Anchor(NamedTuple):
 
     held: int  # its number among the nodes that are held
     clamped: bool  # whether it is known to be, and so needs no border
+
+
+def anchors_of(scene: Scene) -> tuple[Anchor, ...]:
+    """The first nodes of the scene's rods, and its bodies, among what is held."""
+    # both ends of the scene come first, then the last end of a rod and the first of the next; each
+    # of the bodies is a first node by itself
+    ends, rods = (*scene.ends, *scene.inner_ends), len(scene.rod.strands)
+    firsts = (0, *range(3, 2 * rods, 2), *range(2 * rods, len(ends)))
+    return tuple(Anchor(i, ends[i].clamped) for i in firsts)
 
 
 class AnchoredSystem(eqx.Module):

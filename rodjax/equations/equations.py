@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from functools import partial
-from typing import Generic, NamedTuple, TypeVar
+from typing import Generic, TypeVar
 
 import equinox as eqx
 import jax
@@ -11,41 +11,30 @@ from jax import lax
 from jaxtyping import Array, Float
 
 from rodjax.equations import joint_terms
-from rodjax.equations.anchored import Anchor, AnchoredBordered, AnchoredSystem
-from rodjax.equations.assembly import Scales, assemble, residual_rows
-from rodjax.equations.border import BorderedSystem
+from rodjax.equations.anchored import AnchoredSystem
+from rodjax.equations.assembly import Scales, residual_rows
 from rodjax.equations.coupled import CoupledSystem
-from rodjax.equations.coupling import Coupling, Following, couple, turned_moments
+from rodjax.equations.coupling import Coupling, Following, couple
 from rodjax.equations.generalized_alpha import coefficients
 from rodjax.equations.goals import Goals, gaps, goals_of, scales_of
 from rodjax.equations.imbalance import (
     Acting,
     imbalance,
-    node_tangent,
     of_contact,
     of_loads,
 )
 from rodjax.equations.jointed import JointedSystem
+from rodjax.equations.newton_system import Placed, newton_system
 from rodjax.equations.schemes import AbstractScheme, Step
 from rodjax.interactions.self_contact import FoundContact
 from rodjax.numerics import newton, rotations
 from rodjax.numerics.batching import one_by_one
-from rodjax.rods import balance
-from rodjax.rods.state import Moving, NodeMotion, State, at_rest
+from rodjax.rods.state import NodeMotion, State, at_rest
 from rodjax.scenes.holds import impose, rows_at
 from rodjax.scenes.scene import Found, Scene, projectors
 
 # Largest rotation of a node that Newton's iteration may begin with [rad].
 _LARGEST_TURN = 1.0
-
-
-class _Placed(NamedTuple):
-    """The nodes at x."""
-
-    motion: NodeMotion
-    acceleration: Float[Array, "nodes 6"] | None  # None at rest
-    change: Float[Array, "nodes 6"]
-    increment: Float[Array, "nodes 6"]
 
 
 Scheme = TypeVar("Scheme", bound=AbstractScheme)
@@ -127,7 +116,7 @@ class Equations(eqx.Module, Generic[Scheme]):
         """The nodes at x."""
         return self._placed(x).motion
 
-    def _placed(self, x) -> _Placed:
+    def _placed(self, x) -> Placed:
         scheme, change = self.scheme, self.change(x)
         increment, (position, quaternion) = scheme.increment(change), scheme.origin()
         position = position + increment[:, :3]
@@ -138,7 +127,7 @@ class Equations(eqx.Module, Generic[Scheme]):
             rate, acceleration = found
             motion = motion._replace(velocity=rate[:, :3], angular_velocity=rate[:, 3:])
         # the barrier keeps XLA from evaluating all this anew in every kernel that reads it
-        return lax.optimization_barrier(_Placed(motion, acceleration, change, increment))
+        return lax.optimization_barrier(Placed(motion, acceleration, change, increment))
 
     @property
     def found_contact(self) -> FoundContact | None:
@@ -151,7 +140,7 @@ class Equations(eqx.Module, Generic[Scheme]):
         placed = self._placed(x)
         return self._residual(x, placed, of_contact(self.scene, placed.motion, self.found_contact))
 
-    def _residual(self, x, placed: _Placed, push: Acting):
+    def _residual(self, x, placed: Placed, push: Acting):
         scene, motion = self.scene, placed.motion
         acting = (*of_loads(scene, motion, self.scheme.load_part()), *push)
         wrench, constraint = imbalance(scene, motion, self.force(x), acting, placed.acceleration)
@@ -182,7 +171,7 @@ class Equations(eqx.Module, Generic[Scheme]):
         push, coupling = self._contact(placed)
         return self._system(x, placed, push, coupling).solve_once(-self._residual(x, placed, push))
 
-    def _contact(self, placed: _Placed) -> tuple[Acting, Coupling | None]:
+    def _contact(self, placed: Placed) -> tuple[Acting, Coupling | None]:
         """What contact exerts on the nodes, and its derivative in the Newton system."""
         motion = placed.motion
         contact, slopes = self.scene.contact, self.scheme.slopes()
@@ -197,47 +186,10 @@ class Equations(eqx.Module, Generic[Scheme]):
         push, coupling = couple(*given, *held, self.scales)
         return (push,), coupling
 
-    def _of_moments(self, push: Acting) -> Float[Array, "nodes 6 6"] | None:
-        """What the moments of friction add to the nodes' tangents."""
-        contact = self.scene.contact
-        return None if contact is None else turned_moments(contact, push[0])
-
-    def _system(self, x, placed: _Placed, push: Acting, coupling: Coupling | None):
-        scene, scheme, motion = self.scene, self.scheme, placed.motion
-        slopes, moving = scheme.slopes(), None
-        if slopes is not None and placed.acceleration is not None:
-            turn = placed.increment[:, 3:]
-            numbers = slopes.by_velocity, slopes.by_acceleration
-            moving = Moving(placed.acceleration, turn, *numbers)
-        tangent = balance.element_tangent(scene.rod, motion, self.force(x), moving)
-        node = node_tangent(scene, motion, moving=moving, load_factor=scheme.load_part())
-        node = node._replace(own=scheme.stiffened(placed.change, node.own))
-        moments = self._of_moments(push)
-        if moments is not None:
-            node = node._replace(own=node.own + moments)
-        joints, border = self.joints(x), None
-        if joints is not None:
-            found = joint_terms.terms(scene, motion, joints)
-            node = node._replace(own=node.own + joint_terms.own_tangent(scene, found))
-            at = self.projectors, scene.held_nodes, self.scales
-            border = joint_terms.border_of(scene, found.slope, found.curvature, *at)
-        anchors = anchors_of(scene)
-        if slopes is not None or _at_ends(scene, anchors):
-            held = self.projectors, scene.held_nodes
-            blocks = assemble(scene.rod, tangent, node, *held, self.scales)
-            coupled = CoupledSystem(blocks, coupling)
-            if border is None:
-                return coupled
-            return JointedSystem(BorderedSystem(coupled, border), len(scene.joints))
-        # what lies before a node is not held without inertia, or held twice: see `anchored`
-        nowhere = jnp.zeros((0, 6, 6), x.dtype), ()
-        free = assemble(scene.rod, tangent, node, *nowhere, self.scales)
-        coupling = None if coupling is None else coupling.held(*nowhere)
-        held = self.projectors, scene.held_nodes
-        anchored = AnchoredSystem(CoupledSystem(free, coupling), *held, anchors)
-        if border is None:
-            return anchored
-        return JointedSystem(AnchoredBordered(anchored, border), len(scene.joints))
+    def _system(self, x, placed: Placed, push: Acting, coupling: Coupling | None):
+        held = self.projectors, self.scales
+        given = placed, self.force(x), self.joints(x), push, coupling
+        return newton_system(self.scene, self.scheme, *held, *given)
 
     def iterate(self, x, tolerance, max_iterations):
         """Newton's iteration, with a held derivative where pairs are near.
@@ -251,7 +203,9 @@ class Equations(eqx.Module, Generic[Scheme]):
 
         def coupled(arrays, *given):
             whole = eqx.combine(arrays, rest)
-            return whole._iterated(*given) if rubs else newton.iterate_held(whole, *given)
+            if rubs:
+                return newton.iterate_dual(whole, *given, held=True)
+            return newton.iterate_held(whole, *given)
 
         def uncoupled(arrays, *given):
             return eqx.combine(arrays, rest).without_contact()._iterated(*given)
@@ -353,20 +307,6 @@ class Equations(eqx.Module, Generic[Scheme]):
         if not self.scheme.exact_constraint():
             return jnp.zeros((), dx.dtype)
         return jnp.sqrt(jnp.max(jnp.sum(self.of_nodes(dx)[:, 6:] ** 2, 1)))
-
-
-def anchors_of(scene: Scene) -> tuple[Anchor, ...]:
-    """The first nodes of the scene's rods, and its bodies, among what is held."""
-    # both ends of the scene come first, then the last end of a rod and the first of the next; each
-    # of the bodies is a first node by itself
-    ends, rods = (*scene.ends, *scene.inner_ends), len(scene.rod.strands)
-    firsts = (0, *range(3, 2 * rods, 2), *range(2 * rods, len(ends)))
-    return tuple(Anchor(i, ends[i].clamped) for i in firsts)
-
-
-def _at_ends(scene: Scene, anchors: tuple[Anchor, ...]) -> bool:
-    """Whether rods are clamped at their first nodes and held besides at their last alone."""
-    return all(anchor.clamped for anchor in anchors) and not scene.supports
 
 
 def step_equations(

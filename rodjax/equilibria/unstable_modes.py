@@ -21,11 +21,11 @@ from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
 from rodjax.equations import joint_terms
-from rodjax.equations.anchored import bordered
+from rodjax.equations.anchored import anchors_of, bordered
 from rodjax.equations.assembly import AS_COLUMNS, Scales, assemble
 from rodjax.equations.coupled import CoupledSystem
 from rodjax.equations.coupling import couple
-from rodjax.equations.equations import Equations, anchors_of
+from rodjax.equations.equations import Equations
 from rodjax.equations.imbalance import node_tangent
 from rodjax.equations.schemes import AtRest
 from rodjax.equilibria.jointed_modes import negative_besides, with_joints

@@ -87,32 +87,8 @@ def iterate(
     be above 1e-12 the iteration goes on, which the tolerance alone would not ask for.
     """
 
-    def body(loop: _Loop) -> _Loop:
-        fresh = loop._replace(turned=jnp.zeros_like(loop.turned))
-        return _updated(equations, fresh, equations.newton_increment(loop.x), tolerance)
-
-    going = lambda loop: _unfinished(loop, max_iterations, patience)
-    return _outcome(lax.while_loop(going, body, _beginning(x)))
-
-
-def iterate_dual(equations, x, tolerance, max_iterations) -> tuple[Any, NewtonInfo]:
-    """As `iterate`, by a derivative that has duals of its own: estimates that follow the iteration.
-
-    Besides the methods above the equations have
-        first_duals(x) -> duals, with_duals(duals) -> equations, next_duals(new x) -> duals.
-    The derivative of the solution is the exact one, without duals.
-    """
-
-    def body(carry):
-        loop, duals = carry
-        held = equations.with_duals(duals)
-        fresh = loop._replace(turned=jnp.zeros_like(loop.turned))
-        new = _updated(equations, fresh, held.newton_increment(loop.x), tolerance)
-        return new, held.next_duals(new.x)
-
-    going = lambda carry: _unfinished(carry[0], max_iterations, PATIENCE_WITH_DUALS)
-    begun = _beginning(x), equations.first_duals(x)
-    return _outcome(lax.while_loop(going, body, begun)[0])
+    limits = tolerance, max_iterations, patience
+    return _until_done(lambda loop: _corrected_once(equations, loop, limits), x, limits)
 
 
 def iterate_held(equations, x, tolerance, max_iterations) -> tuple[Any, NewtonInfo]:
@@ -121,27 +97,63 @@ def iterate_held(equations, x, tolerance, max_iterations) -> tuple[Any, NewtonIn
     The error left is predicted for the slower contraction of the chord method. For systems whose
     elimination costs several times a residual.
     """
+    limits = tolerance, max_iterations, PATIENCE
+    return _until_done(lambda loop: _corrected(equations, loop, limits), x, limits)
 
-    def body(loop: _Loop) -> _Loop:
-        system = equations.linearize(loop.x).eliminate()
 
-        def again(state):
-            first, inner = state
-            shrinking = (inner.contraction < _HELD) | (inner.close > 0)
-            return _unfinished(inner, max_iterations) & (first | shrinking)
+def iterate_dual(
+    equations, x, tolerance, max_iterations, held: bool = False
+) -> tuple[Any, NewtonInfo]:
+    """As `iterate`, by a derivative that has duals of its own: estimates that follow the iteration.
 
-        def correct(state):
-            inner = state[1]
-            dx = system.solve(-equations.residual(inner.x))
-            # the first correction by a derivative is quadratic, s_1 = c s_0^2, and those that
-            # follow shrink by 2 c s_0 each
-            return jnp.asarray(False), _updated(equations, inner, dx, tolerance, growth=2.0)
+    Besides the methods above the equations have
+        first_duals(x) -> duals, with_duals(duals) -> equations, next_duals(new x) -> duals.
+    The derivative of the solution is the exact one, without duals. If `held`, the derivative is
+    kept as by `iterate_held`, and so are its duals.
+    """
+    limits = tolerance, max_iterations, PATIENCE_WITH_DUALS
+    correct = _corrected if held else _corrected_once
 
-        fresh = loop._replace(turned=jnp.zeros_like(loop.turned))
-        return lax.while_loop(again, correct, (jnp.asarray(True), fresh))[1]
+    def body(carry):
+        loop, duals = carry
+        whole = equations.with_duals(duals)
+        new = correct(whole, loop, limits)
+        return new, whole.next_duals(new.x)
 
-    going = lambda loop: _unfinished(loop, max_iterations)
-    return _outcome(lax.while_loop(going, body, _beginning(x)))
+    going = lambda carry: _unfinished(carry[0], limits)
+    begun = _beginning(x), equations.first_duals(x)
+    return _outcome(lax.while_loop(going, body, begun)[0])
+
+
+def _until_done(correct, x, limits) -> tuple[Any, NewtonInfo]:
+    going = lambda loop: _unfinished(loop, limits)
+    return _outcome(lax.while_loop(going, correct, _beginning(x)))
+
+
+def _corrected_once(equations, loop: _Loop, limits) -> _Loop:
+    """After an increment by a derivative of its own."""
+    fresh = loop._replace(turned=jnp.zeros_like(loop.turned))
+    return _updated(equations, fresh, equations.newton_increment(loop.x), limits[0])
+
+
+def _corrected(equations, loop: _Loop, limits) -> _Loop:
+    """After increments by one derivative, as many as shrink fast."""
+    system = equations.linearize(loop.x).eliminate()
+
+    def again(state):
+        first, inner = state
+        shrinking = (inner.contraction < _HELD) | (inner.close > 0)
+        return _unfinished(inner, limits) & (first | shrinking)
+
+    def correct(state):
+        inner = state[1]
+        dx = system.solve(-equations.residual(inner.x))
+        # the first correction by a derivative is quadratic, s_1 = c s_0^2, and those that
+        # follow shrink by 2 c s_0 each
+        return jnp.asarray(False), _updated(equations, inner, dx, limits[0], growth=2.0)
+
+    fresh = loop._replace(turned=jnp.zeros_like(loop.turned))
+    return lax.while_loop(again, correct, (jnp.asarray(True), fresh))[1]
 
 
 def _beginning(x) -> _Loop:
@@ -174,7 +186,8 @@ def _updated(equations, loop: _Loop, dx, tolerance, growth=1.0) -> _Loop:
     )
 
 
-def _unfinished(loop: _Loop, max_iterations, patience: int = PATIENCE):
+def _unfinished(loop: _Loop, limits):
+    _, max_iterations, patience = limits
     done = (loop.close > 0) & (loop.exact | (loop.close > _FINER))
     going = ~done & loop.finite & (loop.iterations < max_iterations)
     return going & (loop.slow < patience)
