@@ -255,9 +255,12 @@ def _leaning(rod, lean, turns):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("split", [1e-6, 0.05])
-def test_a_pair_of_modes_that_is_split_has_the_load_of_one(twisted, split):
-    """The other mode of the pair is not held where it costs something."""
+@pytest.mark.parametrize("split", [1e-6, 1e-3, 0.05])
+def test_a_pair_of_modes_that_is_split_has_two_loads(twisted, split):
+    """The other mode of the pair is not held where it costs something.
+
+    Both are found where they lie in one step of the path.
+    """
     scene, path = twisted
     rod = scene.rod
     stiffness = rod.stiffness * jnp.asarray([[1 + split, 1.0, 1.0]])
@@ -265,7 +268,14 @@ def test_a_pair_of_modes_that_is_split_has_the_load_of_one(twisted, split):
     found = float(rx.critical(other, path.critical[0]).parameter)
     walked = rx.path(other, rx.placing(other), 0.0, 2.2, longest_step=0.05)
     apart = [abs(found / float(one.parameter) - 1) for one in walked.critical]
-    assert walked.critical and min(apart) < 1e-8
+    assert min(apart) < 1e-8
+    first, second = walked.critical
+    assert len(first.modes) == len(second.modes) == 1
+    # by one half of the split more than the pair in the mean, to first order
+    pair = float(path.critical[0].parameter)
+    mean = 0.5 * (float(first.parameter) + float(second.parameter))
+    assert mean / pair - 1 == pytest.approx(0.5 * split, rel=0.02 + 1.5 * split)
+    assert 0.3 < (float(second.parameter) - float(first.parameter)) / (pair * split) < 0.5
 
 
 @pytest.mark.slow

@@ -7,8 +7,9 @@ import jax
 import numpy as np
 
 from rodjax.continuation.arc_step import ArcStep
+from rodjax.continuation.close_points import located, modes_of
 from rodjax.continuation.diagram import EquilibriumPath, PathEnd
-from rodjax.continuation.events import Event, distances, events, locate
+from rodjax.continuation.events import Event, distances, events
 from rodjax.continuation.path_arguments import Settings
 from rodjax.continuation.path_steps import Point, Walker, fits, next_length
 from rodjax.numerics.results import ModelWarning, Result
@@ -56,11 +57,10 @@ class Walk(NamedTuple):
                 length *= 0.5
                 continue
             for event in met:
-                located = locate(walker, before, after, far, event)
-                if located is None:
+                found = located(walker, before, after, far, event)
+                critical.extend(found)
+                if modes_of(found) < max(abs(event.change), 1):
                     _warn_of_missed(event, before, after)
-                else:
-                    critical.append(located)
             passed.append(after)
             arcs.append(arcs[-1] + far)
             ended = ended or self._again(passed)
