@@ -101,7 +101,7 @@ def main(argv=None) -> int:
     until = options.until or (0.1 if options.quick else 1.0)
     options.out.mkdir(parents=True, exist_ok=True)
     scene = heap(count, elements)
-    method = rx.GeneralizedAlpha(0.0, tolerance=1e-8)
+    method = rx.GeneralizedAlpha(0.8, tolerance=1e-8)
     control = rx.StepControl(first_step=1e-4, max_step=0.01)
     began = time.perf_counter()
     state = rx.start(scene)

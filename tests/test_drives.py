@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from helpers import UNIT_SECTION, slow
 
+import rodjax as rx
 from rodjax import energy, measures
 from rodjax.constraints.ends import Clamped, Free, Slider, Switched, Turn
 from rodjax.dynamics.adaptive import adaptive_rollout
@@ -125,6 +126,14 @@ def test_the_alarm_for_passages_lets_a_straight_rod_be():
     assert float(measures.twist(found.final)) == pytest.approx(8.0, abs=1e-9)
 
 
+def _hinged(angle):
+    """Two rods in line, the second turned about the first's tangent by a motor between them."""
+    other = straight_rod(1.0, 4, UNIT_SECTION, origin=(0.0, 0.0, 1.0))
+    rods = straight_rod(1.0, 4, UNIT_SECTION), other
+    motor = rx.Hinge(rx.Point(-1), rx.Point(0, rod=1), axis=UP, angle=angle)
+    return Scene(rods=rods, first_end=(Clamped(), Free()), joints=(motor,), loads=DRAG)
+
+
 @pytest.mark.slow
 def test_an_end_that_is_not_where_its_schedule_puts_it():
     """A function that reads what changes: the compiled steps know its first value only."""
@@ -134,6 +143,7 @@ def test_an_end_that_is_not_where_its_schedule_puts_it():
     drives = {
         "rotation": shaft(0.0, last_end=Slider(UP, rotation=Turn(UP, Function(angle)))),
         "displacement": shaft(0.0, first_end=Clamped(push)),
+        "joint": _hinged(Function(angle)),
     }
     for scene in drives.values():
         assert int(run(scene, 4).result) == Result.SUCCESS

@@ -83,7 +83,7 @@ MESSAGES = {
     ),
     Result.INTERRUPTED: "stopped by the user; what was computed until then is kept",
     Result.DRIVE_MISSED: (
-        "an end is not where its schedule puts it at the end of the run, though no step failed; a"
+        "an end or joint is not where its schedule puts it at the end, though no step failed; a"
         " schedule must be a function of time alone (and a `Function` must not read what changes"
         " after its first use), and a user's end must tell its `switch_times`"
     ),

@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from rodjax.constraints import ends
+from rodjax.constraints.ends import AbstractEnd
 from rodjax.numerics import rotations
 from rodjax.numerics.compilation import compiled
 from rodjax.rods.state import State
@@ -80,10 +81,11 @@ def turning(scene: Scene) -> bool:
 
 
 def astray(scene: Scene, states: State, allowed: float) -> bool:
-    """Whether an end is not where its schedules put it, over saved states (not in traced code).
+    """Whether an end or joint is not where its schedules put it, over saved states, not traced.
 
-    Displacement and turns (modulo two, as far as frames tell) since the start, and since each time
-    at which a constraint changed, in the directions that were constrained all the while.
+    Of ends, displacement and turns (modulo two, as far as frames tell) since the start, and since
+    each time at which a constraint changed, in the directions that were constrained all the while.
+    Of joints, what is left between their points at the end.
 
     Args:
         allowed: what the tolerances of all steps sum up to, in element lengths and radians.
@@ -95,7 +97,27 @@ def astray(scene: Scene, states: State, allowed: float) -> bool:
         inside = np.flatnonzero((times >= before) & (times <= after)).tolist()
         if len(inside) > 1 and _off(scene, states, inside[0], inside[-1]) > _ASTRAY + allowed:
             return True
-    return False
+    return _joints_off(scene, states) > _ASTRAY + allowed
+
+
+def _joints_off(scene: Scene, states: State) -> float:
+    """How far driven joints are off their schedules in the last saved state, see `_ASTRAY`."""
+    parts, time = scene.rod.parts, jnp.asarray(states.time)[-1]
+    length, worst = float(np.mean(np.asarray(scene.rod.length))), 0.0
+    for joint in scene.joints:
+        if not joint.schedules:
+            continue
+        nodes = np.asarray([joint.first.place(parts), joint.second.place(parts)])
+        first, second = jnp.asarray(scene.rod.quaternion)[nodes]
+        placed = rotations.multiply(rotations.conjugate(first), second)
+        at = jnp.asarray(states.position)[-1, nodes], jnp.asarray(states.quaternion)[-1, nodes]
+        # as in `_wanted`, not in a compiled program
+        gap = joint.projector().astype(placed.dtype) @ joint.gap(
+            *zip(*at, strict=True), placed, time
+        )
+        shift, turn = np.linalg.norm(np.asarray(gap).reshape(2, 3), axis=1)
+        worst = max(worst, float(shift) / length, float(turn))
+    return worst
 
 
 def _off(scene: Scene, states: State, first: int, last: int) -> float:
@@ -109,7 +131,8 @@ def _off(scene: Scene, states: State, first: int, last: int) -> float:
         index = int(node)
         positions = np.asarray(states.position)[[first, last], index]
         frames = np.asarray(states.quaternion)[[first, last], index]
-        out = _followed(end, start, late, stop, *positions, *frames)
+        wanted = _wanted(end, *map(jnp.asarray, (start, stop)))
+        out = _followed(end, start, late, *wanted, *positions, *frames)
         before, after, shift, turn = jax.tree.map(np.asarray, out)
         if not np.allclose(before, after):
             continue
@@ -119,10 +142,24 @@ def _off(scene: Scene, states: State, first: int, last: int) -> float:
     return worst
 
 
+def _wanted(end: AbstractEnd, start: Float[Array, ""], stop: Float[Array, ""]):
+    """Displacement [m] and rotation vector [rad], inertial axes, that schedules ask for.
+
+    Not in a compiled program: of a function that reads what changes it would hold, as the steps do,
+    what it read when it was compiled, and the check is to see that.
+    """
+    shift = turn = np.zeros(3, stop.dtype)
+    if end.displacement is not None:
+        shift = np.asarray(end.displacement(stop)) - np.asarray(end.displacement(start))
+    if end.rotation is not None:
+        turn = np.asarray(end.rotation(stop)) - np.asarray(end.rotation(start))
+    return shift.astype(stop.dtype), turn.astype(stop.dtype)
+
+
 @compiled  # of an end by itself: not anew for every scene
-def _followed(end, start, late, stop, position, reached, frame, turned):
+def _followed(end, start, late, shift, turn, position, reached, frame, turned):
     """Projectors from `start` and from `late` on; how far the end is off in place and frame."""
-    wanted = ends.increments(end, start, stop, frame)
-    there = rotations.multiply(frame, rotations.exponential(wanted[3:]))
+    wanted = rotations.exponential(rotations.rotate_inverse(frame, turn))
+    there = rotations.multiply(frame, wanted)
     turn = rotations.multiply(rotations.conjugate(there), turned)
-    return end.projector(start), end.projector(late), reached - position - wanted[:3], turn
+    return end.projector(start), end.projector(late), reached - position - shift, turn
