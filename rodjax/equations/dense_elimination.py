@@ -90,10 +90,8 @@ class DenseElimination(eqx.Module):
         size = coupling.width * capacity.points
         eye = jnp.eye(size, dtype=self.lu.dtype)
         derivative = _derivative(coupling, capacity).reshape(size, size)
-        given = _by_each(self.factors, coupling, capacity)
-        if given is None:
-            units = eye.reshape(-1, coupling.width, size)
-            given = _responses(self.factors, coupling, capacity, units)
+        units = eye.reshape(-1, coupling.width, size)
+        given = _response(self.factors, coupling, capacity, units)
         matrix = jnp.block([[-given, -eye], [-eye, derivative]])
         pivots = blocks.pivots(self.factors)[:, np.array(AS_COLUMNS)]
         return negative_in_all(pivots) + negative_in_all(matrix[None]) - size
