@@ -13,7 +13,7 @@ from rodjax.equations import coupling
 from rodjax.equations.equations import step_equations
 from rodjax.interactions import contact_capacities, screening
 from rodjax.interactions.contact_report import report
-from rodjax.numerics import rotations
+from rodjax.numerics import newton, rotations
 from rodjax.numerics.front_order import FrontSize
 
 DIAMETER = 0.02
@@ -273,3 +273,29 @@ def test_sticking_starts_do_not_fail(slip_speed):
         rate = 10 ** rng.uniform(-3, 0) * rng.normal(size=state.rate.shape) * lever
         _, info = advance(dataclasses.replace(state, rate=jnp.asarray(rate)))
         assert int(info.result) == 0
+
+
+@pytest.mark.slow
+def test_a_held_derivative_leads_to_the_same_motion():
+    """With its duals, for strands that slip, and that stick."""
+    scene = crossing(rx.SlidingFriction(0.5, 1e-3))
+    state, stop = rx.start(scene), jnp.asarray(1e-3)
+
+    @jax.jit
+    def solved(rate):
+        moving = dataclasses.replace(state, rate=rate)
+        equations = step_equations(scene, moving, stop, jnp.asarray(0.5))
+        guess = equations.guess(moving.force)
+        near = scene.find(moving.position, equations.increment(guess)[:, :3])
+        equations = dataclasses.replace(equations, found=near)
+        guess = equations.limited(guess)
+        way = lambda held: newton.iterate_dual(equations, guess, 1e-12, 40, held=held)
+        return way(False), way(True)
+
+    rng, lever = np.random.default_rng(3), np.array([1, 1, 0.3, 30, 30, 30])
+    for size in (1e-3, 1e-1, 1.0):
+        for _ in range(5):
+            rate = jnp.asarray(size * rng.normal(size=state.rate.shape) * lever)
+            (fresh, info), (held, other) = solved(rate)
+            assert int(info.result) == int(other.result) == 0
+            np.testing.assert_allclose(held, fresh, rtol=1e-9, atol=1e-10)
