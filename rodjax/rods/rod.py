@@ -6,12 +6,9 @@ at a node is exact. Several rods may stand on one axis of nodes, see `chain`.
 """
 
 import dataclasses
-import itertools
-import warnings
 from typing import Any, NamedTuple, no_type_check
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Shaped
@@ -19,22 +16,11 @@ from jaxtyping import Array, Float, Shaped
 from rodjax.inputs.argument_types import AnyArray
 from rodjax.inputs.brief import named
 from rodjax.inputs.schedules import AbstractSchedule
-from rodjax.inputs.user_functions import returned
-from rodjax.inputs.validation import (
-    as_float,
-    as_float_or_none,
-    as_traced,
-    check_instance,
-    check_numbers,
-    known,
-    shown,
-)
-from rodjax.numerics.results import ModelWarning
-from rodjax.rods.framing import (
-    of_one_sign,
-)
+from rodjax.inputs.validation import as_float, as_float_or_none, as_traced, known
+from rodjax.rods import rod_checks
+from rodjax.rods.framing import of_one_sign
 from rodjax.rods.lump import Lump
-from rodjax.rods.material import AbstractMaterial, stiffness_matrix
+from rodjax.rods.material import AbstractMaterial
 from rodjax.rods.rod_sheet import sheet_of_rod
 
 
@@ -133,155 +119,12 @@ class Rod(eqx.Module):
     lumps: tuple[Lump, ...] = ()
 
     def __check_init__(self):
-        check_numbers(length=self.length)
-        if len(jnp.shape(self.length)) != 1:
-            raise ValueError(f"length: give one a element, got {shown(self.length)}")
-        n = self.elements
-        if n < 2:
-            raise ValueError(f"elements: a rod needs at least 2 (a length each), got {n}")
-        shapes = {
-            "position": (n + 1, 3),
-            "quaternion": (n + 1, 4),
-            "length": (n,),
-            "stiffness": (n, 3),
-            "natural_curvature": (n, 3),
-            "mass": (n,),
-            "rotary_inertia": (n, 3),
-            "compliance": (n, 3),
-            "diameter": (n,),
-            "area": (n,),
-            "coupling": (n, 3),
-            "torque_per_tension": (n,),
-        }
-        optional = ("mass", "rotary_inertia", "compliance", "diameter", "area", "coupling")
-        optional += ("torque_per_tension",)
-        for name, shape in shapes.items():
-            value = getattr(self, name)
-            if value is None and name in optional:
-                continue
-            check_numbers(**{name: value})
-            found: Any = value
-            if tuple(jnp.shape(found)) != shape:
-                raise ValueError(
-                    f"{name}: expected shape {shape} for {n} elements, got {jnp.shape(found)}"
-                )
-            if found.dtype != self.position.dtype:
-                raise ValueError(
-                    f"{name}: must be of one precision with the position, {self.position.dtype};"
-                    f" got {found.dtype}"
-                )
-            if known(value):
-                _check_values(name, np.delete(np.asarray(value), self._left_out(name), 0))
-        if self.mass is None and self.rotary_inertia is not None:
-            raise ValueError(
-                "rotary_inertia: a rod without mass has none; pass rotary_inertia=None"
-            )
-        self._check_breaks()
-        self.check_lumps()
-        self._check_slender()
-        self._check_positive_definite()
-        self._check_material()
-
-    def _check_positive_definite(self):
-        """With coupling; without it positive entries are enough."""
-        if self.coupling is None or not (known(self.coupling) and known(self.stiffness)):
-            return
-        with jax.ensure_compile_time_eval():
-            matrices = np.asarray(stiffness_matrix(self.stiffness, self.coupling))
-            matrices = self.solid(matrices)
-        least = np.linalg.eigvalsh(matrices)[:, 0]
-        if not np.all(least > 0):
-            i = int(np.argmin(least))
-            raise ValueError(
-                "stiffness: must be positive definite in every element, but with its coupling"
-                f" element {i} has the eigenvalue {least[i]:.3g}: it would bend by itself; lessen"
-                " the entries off the diagonal (each square below the product of its two diagonal"
-                " ones, at least)"
-            )
-
-    def _check_material(self):
-        if self.material is not None:
-            mend = "give a material such as KelvinVoigt(1e-3), or None for a linear rod"
-            check_instance(AbstractMaterial, mend, material=self.material)
-            self.material.check(self.stiffness, self.coupling, self.compliance, self.mass)
-        if self.actuation is None:
-            return
-        mend = "give a schedule of what is added to kappa0, as Smooth(times, values)"
-        check_instance(AbstractSchedule, mend, actuation=self.actuation)
-        time = jax.ShapeDtypeStruct((), jnp.result_type(float))
-        driven: Any = self.actuation
-        found = returned("actuation", driven, time).shape
-        if found not in ((3,), (self.elements, 3)):
-            raise ValueError(
-                "actuation: the schedule must give three components, about a_1, about a_2 and"
-                f" twist, or {(self.elements, 3)}, a row an element; got shape {found}"
-            )
-
-    def _left_out(self, name: str) -> list[int]:
-        """The rows that are not checked, of elements that are none."""
-        return [] if name in ("position", "quaternion") else list(self.breaks)
-
-    def _check_breaks(self):
-        if not isinstance(self.breaks, tuple):
-            raise ValueError(f"breaks: give a tuple of element numbers, got {self.breaks!r}")
-        edges = (-1, *self.breaks, self.elements)
-        counts = [after - before - 1 for before, after in itertools.pairwise(edges)]
-        strands = counts[: len(counts) - len(self.bodies)]
-        if any(count < 2 for count in strands) or not strands:
-            raise ValueError(
-                f"breaks: every rod needs at least 2 elements, got {self.breaks} of {self.elements}"
-            )
-        heavy = {lump.rod for lump in self.lumps if lump.inertia is not None}
-        if any(i not in heavy for i in range(len(strands), len(counts))):
-            raise ValueError("lumps: a body by itself needs one with mass and moments of inertia")
-        index = list(self.breaks)
-        for name, value in (("length", self.length), ("stiffness", self.stiffness)):
-            if index and known(value) and np.any(np.asarray(value)[index] != 0):
-                raise ValueError(f"{name}: must be zero in {self.breaks}, which are no elements")
-
-    def check_lumps(self):
-        """Raise ValueError where a lump is at no node, or the rod cannot carry it."""
-        if not isinstance(self.lumps, tuple):
-            raise ValueError("lumps: give a tuple, for one lump (lump,)")
-        mend = "give a lump such as Lump(-1, 0.5), half a kilogram at the last node"
-        check_instance(Lump, mend, **{f"lumps[{i}]": lump for i, lump in enumerate(self.lumps)})
-        for i, lump in enumerate(self.lumps):
-            name = f"lumps[{i}]"
-            if lump.rod >= len(self.parts):
-                raise ValueError(
-                    f"{name}: rod: the scene's rods are 0 to {len(self.parts) - 1}, got {lump.rod}"
-                )
-            part = self.parts[lump.rod]
-            node, last = lump.place(self.parts), part.last - part.first
-            if not part.first <= node <= part.last:
-                raise ValueError(
-                    f"{name}: node: a rod of {last} elements has the nodes 0 to {last}, or"
-                    f" {-last - 1} to -1, got {lump.node}"
-                )
-            if self.mass is None:
-                raise ValueError(
-                    f"{name}: a rod with mass=None has no inertia; give its section a mass"
-                    " (density), or push by a PointLoad for the weight alone"
-                )
-            if lump.offset is not None and lump.inertia is None and self.rotary_inertia is None:
-                raise ValueError(
-                    f"{name}: inertia: about the line to its offset nothing would have inertia;"
-                    " give the lump its moments, or the rod's section rotary inertia"
-                    " (circular_section(rotary_inertia=True))"
-                )
-
-    def _check_slender(self):
-        if not (known(self.diameter) and known(self.length)):
-            return
-        thickest = float(np.max(np.asarray(self.diameter)))
-        length = float(np.sum(np.asarray(self.length)))
-        if thickest > 0.5 * length:
-            warnings.warn(
-                f"diameter: {thickest:g} is no small part of the length {length:g}, which is a rod"
-                " no more; are both in one unit?",
-                ModelWarning,
-                stacklevel=2,
-            )
+        rod_checks.check_fields(self)
+        rod_checks.check_breaks(self)
+        rod_checks.check_lumps(self)
+        rod_checks.check_slender(self)
+        rod_checks.check_positive_definite(self)
+        rod_checks.check_material(self)
 
     def __repr__(self) -> str:
         given = {f.name: getattr(self, f.name) for f in dataclasses.fields(self)}
@@ -338,9 +181,9 @@ class Rod(eqx.Module):
         # unique, or it could not be transposed
         return places.set(jnp.asarray(row, values.dtype), unique_indices=True)
 
-    @no_type_check  # `check_lumps` tells what they should be
+    @no_type_check  # `rod_checks.check_lumps` tells what they should be
     def with_lumps(self, lumps: tuple[Lump, ...]) -> "Rod":
-        """The rod with these besides those that it has; unchecked, see `check_lumps`."""
+        """The rod with these besides those that it has; unchecked, see `rod_checks`."""
         where, empty = lambda rod: rod.lumps, lambda part: isinstance(part, tuple) and not part
         return eqx.tree_at(where, self, (*self.lumps, *lumps), is_leaf=empty)
 
@@ -404,17 +247,3 @@ def check_linear(rod: Rod, method: str) -> None:
                 f"{name}: {method} is for linear rods without it; pass {name}=None, or use"
                 " rollout or adaptive_rollout"
             )
-
-
-def _check_values(name, value):
-    if not np.all(np.isfinite(value)):
-        raise ValueError(f"{name}: must be finite everywhere")
-    if name in ("length", "stiffness", "mass", "diameter", "area") and np.any(value <= 0):
-        raise ValueError(
-            f"{name}: must be positive in every element"
-            + ("; for a rod without inertia pass mass=None" if name == "mass" else "")
-        )
-    if name in ("rotary_inertia", "compliance") and np.any(value < 0):
-        raise ValueError(f"{name}: must not be negative; pass None to leave it out")
-    if name == "quaternion" and np.any(abs(np.linalg.norm(value, axis=1) - 1) > 1e-3):
-        raise ValueError("quaternion: must have unit length at every node")

@@ -15,6 +15,7 @@ from rodjax.interactions.load import AbstractLoad
 from rodjax.rods.chain import chain
 from rodjax.rods.lump import Lump
 from rodjax.rods.rod import Rod
+from rodjax.rods.rod_checks import check_lumps
 
 if TYPE_CHECKING:
     from rodjax.scenes.scene import Scene
@@ -39,7 +40,7 @@ def carrying(rod: Rod, lumps: tuple[Lump, ...]) -> Rod:
     if not isinstance(lumps, tuple):
         raise ValueError("lumps: give a tuple, for one lump (lump,)")
     loaded = rod.with_lumps(lumps)
-    loaded.check_lumps()
+    check_lumps(loaded)
     return loaded
 
 
