@@ -6,7 +6,7 @@ import jax.numpy as jnp
 from jax.ad_checkpoint import checkpoint_name
 from jaxtyping import Array, Float
 
-from rodjax.interactions import contact_energy, contact_forces, screening
+from rodjax.interactions import contact_duals, contact_energy, contact_forces, screening
 from rodjax.interactions.contact import Contact
 from rodjax.interactions.contact_laws import PairProperties, ignores_approach
 from rodjax.interactions.interaction import AbstractInteraction
@@ -73,12 +73,12 @@ class SelfContact(AbstractInteraction):
     def first_dual(self, rod, motion, found: FoundContact, before):
         if self.contact.friction is None:
             return None
-        return contact_forces.first_duals(self.contact, *found, motion, before)
+        return contact_duals.first_duals(self.contact, *found, motion, before)
 
     def next_dual(self, rod, motion, found: FoundContact):
         if self.contact.friction is None:
             return None
-        return contact_forces.next_duals(self.contact, *found, motion)
+        return contact_duals.next_duals(self.contact, *found, motion)
 
     def verdict(self, rod, before, after, found: FoundContact):
         passed = screening.passage_suspected(*found, before, after)
