@@ -19,7 +19,7 @@ import numpy as np
 
 import rodjax as rx
 from rodjax.interactions.contact_energy import pair_energy
-from rodjax.interactions.contact_laws import PairProperties
+from rodjax.interactions.contact_law import PairProperties
 from rodjax.rods import topology
 
 _TURN, _KEPT = 0.25, 0.8  # size of a frame's turn [rad], what is kept of h

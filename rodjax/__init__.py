@@ -67,7 +67,7 @@ from rodjax.inputs.schedules import PiecewiseLinear as PiecewiseLinear
 from rodjax.inputs.schedules import PiecewiseLinearRate as PiecewiseLinearRate
 from rodjax.inputs.schedules import Smooth as Smooth
 from rodjax.interactions.contact import Contact as Contact
-from rodjax.interactions.contact_laws import AbstractLaw as AbstractLaw
+from rodjax.interactions.contact_law import AbstractLaw as AbstractLaw
 from rodjax.interactions.contact_laws import Barrier as Barrier
 from rodjax.interactions.contact_laws import DampedInversePower as DampedInversePower
 from rodjax.interactions.contact_laws import DebyeHueckel as DebyeHueckel

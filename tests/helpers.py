@@ -18,6 +18,7 @@ from rodjax.equations.generalized_alpha import GeneralizedAlpha
 from rodjax.inputs.schedules import Smooth
 from rodjax.interactions import contact_laws as laws
 from rodjax.interactions.contact import Contact
+from rodjax.interactions.contact_law import PairProperties
 from rodjax.interactions.loads import MorisonDrag
 from rodjax.rods.builders import curved_rod, straight_rod
 from rodjax.rods.rod import Rod
@@ -137,7 +138,7 @@ LAWS = {
     "damped_penalty": laws.Penalty(stiffness=1e6, relaxation=2e-3),
 }
 """Laws for strands of this diameter."""
-PAIR = laws.PairProperties(jnp.asarray(DIAMETER), jnp.asarray(0.5))
+PAIR = PairProperties(jnp.asarray(DIAMETER), jnp.asarray(0.5))
 
 
 def hairpin(elements=24, half_gap=0.04, tilt=0.003):

@@ -18,6 +18,7 @@ from rodjax.interactions import contact_forces, contact_report, pair_points
 from rodjax.interactions import contact_laws as laws
 from rodjax.interactions import sites as sites_module
 from rodjax.interactions.contact import Contact
+from rodjax.interactions.contact_law import continued
 from rodjax.interactions.loads import MorisonDrag
 from rodjax.rods.builders import straight_rod
 from rodjax.rods.section import circular_section
@@ -127,7 +128,7 @@ def test_ripple_of_the_force_is_under_two_percent(name):
     """
     law = LAWS[name]
     d = SETTLED[name]
-    psi = lambda r: laws.continued(law, r, jnp.asarray(0.0), PAIR)
+    psi = lambda r: continued(law, r, jnp.asarray(0.0), PAIR)
     width = float(psi(jnp.asarray(d)) / abs(jax.grad(psi)(jnp.asarray(d))))
     spacing = min(0.5 * np.sqrt(2 * d * width), d / 3)
     contact = Contact(law, 2, cutoff=6 * DIAMETER)

@@ -7,14 +7,15 @@ import pytest
 from helpers import DIAMETER, LAWS, PAIR
 
 from rodjax.interactions import contact_laws as laws
+from rodjax.interactions.contact_law import continued, ignores_approach
 
 
 @pytest.mark.parametrize("name", LAWS)
 def test_law_is_c1_and_repels_when_close(name):
     law = LAWS[name]
     distance = jnp.linspace(0.3 * DIAMETER, 3 * DIAMETER, 20001)
-    value = jax.vmap(lambda d: laws.continued(law, d, jnp.asarray(0.0), PAIR))(distance)
-    slope = jax.vmap(jax.grad(lambda d: laws.continued(law, d, jnp.asarray(0.0), PAIR)))(distance)
+    value = jax.vmap(lambda d: continued(law, d, jnp.asarray(0.0), PAIR))(distance)
+    slope = jax.vmap(jax.grad(lambda d: continued(law, d, jnp.asarray(0.0), PAIR)))(distance)
     assert np.all(np.isfinite(value)) and np.all(np.isfinite(slope))
     assert value[0] > 0
     # the primitive of the slope is the value: no jump, and the slope is the derivative
@@ -27,16 +28,16 @@ def test_damped_law_is_equation_13():
     law = laws.DampedInversePower(k1=1e-7, k3=1e-6, reference_spacing=1e-3)
     d, c = 0.013, 0.2
     expected = 0.5 * (1e-7 / (d - 0.5 * DIAMETER) ** 3 + 1e-6 / d * c * abs(c)) / 1e-3
-    got = laws.continued(law, jnp.asarray(d), jnp.asarray(c), PAIR)
+    got = continued(law, jnp.asarray(d), jnp.asarray(c), PAIR)
     np.testing.assert_allclose(got, expected, rtol=1e-12)
 
 
 def test_barrier_acts_from_touching_on_and_lennard_jones_rests_at_its_minimum():
-    barrier = lambda d: laws.continued(LAWS["barrier"], jnp.asarray(d), jnp.asarray(0.0), PAIR)
+    barrier = lambda d: continued(LAWS["barrier"], jnp.asarray(d), jnp.asarray(0.0), PAIR)
     assert barrier(1.2 * DIAMETER) == 0 and barrier(1.5 * DIAMETER) == 0
     assert barrier(1.05 * DIAMETER) > 0
     rest = 2 ** (1 / 6) * 0.03
-    lj = lambda d: laws.continued(LAWS["lennard_jones"], jnp.asarray(d), jnp.asarray(0.0), PAIR)
+    lj = lambda d: continued(LAWS["lennard_jones"], jnp.asarray(d), jnp.asarray(0.0), PAIR)
     assert abs(lj(rest)) < 1e-10 * lj(0.9 * rest)
     assert lj(1.1 * rest) < 0
 
@@ -59,7 +60,7 @@ def test_penalty_is_a_spring_and_a_dashpot():
 
 
 def test_laws_that_damp_are_told_from_those_that_do_not():
-    damped = {name for name, law in LAWS.items() if not laws.ignores_approach(law, PAIR)}
+    damped = {name for name, law in LAWS.items() if not ignores_approach(law, PAIR)}
     # a Penalty reads the approach, though its relaxation may be zero
     assert damped == {"damped", "penalty", "damped_penalty"}
 

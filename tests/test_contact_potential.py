@@ -15,8 +15,8 @@ import rodjax as rx
 from rodjax import energy
 from rodjax.dynamics.stepping import no_info
 from rodjax.equations.overlap import least_held
-from rodjax.interactions import contact_laws
 from rodjax.interactions.contact_energy import contact_energy, has_potential, pair_energy
+from rodjax.interactions.contact_law import PairProperties, continued
 from rodjax.interactions.contact_report import report
 from rodjax.interactions.pair_points import window
 from rodjax.interactions.screening import search
@@ -74,11 +74,11 @@ def test_slope_of_a_pairs_energy_is_its_force(name):
     """At all distances, also where the law is continued or fades; a user's law is integrated."""
     contact = contact_of((LAWS | USERS)[name], aperture=np.pi)
     d = jnp.linspace(0.05, 3.1, 150) * DIAMETER
-    pair = contact_laws.PairProperties(jnp.full_like(d, DIAMETER), jnp.full_like(d, 0.5))
+    pair = PairProperties(jnp.full_like(d, DIAMETER), jnp.full_like(d, 0.5))
 
     @jax.jit
     def both(d):
-        psi = contact_laws.continued(contact.law, d, jnp.zeros_like(d), pair)
+        psi = continued(contact.law, d, jnp.zeros_like(d), pair)
         slope = jax.grad(lambda d: jnp.sum(pair_energy(contact, d, pair)))(d)
         return psi * window(contact, d, pair, (jnp.zeros_like(d), jnp.zeros_like(d))), -slope
 
@@ -91,7 +91,7 @@ def test_slope_of_a_pairs_energy_is_its_force(name):
 def test_a_pole_outside_the_strands_is_not_integrated_across():
     """The integral of 2/(x - 1.2 D)^3 is 1/(d - 1.2 D)^2."""
     d = jnp.linspace(1.21, 3.0, 20) * DIAMETER
-    pair = contact_laws.PairProperties(jnp.full_like(d, DIAMETER), None)
+    pair = PairProperties(jnp.full_like(d, DIAMETER), None)
     phi = jax.jit(lambda d: Pole().potential(d, pair))(d)
     exact = (d - 1.2 * DIAMETER) ** -2
     np.testing.assert_allclose(phi - phi[-1], exact - exact[-1], rtol=1e-9)
@@ -104,7 +104,7 @@ def test_a_pole_outside_the_strands_is_not_integrated_across():
 def test_energy_of_a_law_that_fades():
     """The integral of psi times the window, by an independent quadrature."""
     law, cutoff, edge = LAWS["debye_hueckel"], 0.06, 0.25
-    pair = contact_laws.PairProperties(jnp.asarray(DIAMETER), None)
+    pair = PairProperties(jnp.asarray(DIAMETER), None)
 
     def psi(x):
         u = np.clip((1 - x / cutoff) / edge, 0, 1)
@@ -187,7 +187,7 @@ def push(law, **shape):
 @pytest.mark.parametrize("distance", [0.9, 0.6, 0.2])
 def test_crossing_strands(angle, distance):
     """2 pi d phi(d) / sin(angle), away from each other."""
-    law, pair = rx.Penalty(1e3), contact_laws.PairProperties(jnp.asarray(0.1), None)
+    law, pair = rx.Penalty(1e3), PairProperties(jnp.asarray(0.1), None)
     d = 0.1 * distance
     force = push(law, end=-0.5, angle=np.radians(angle), beside=d)
     expected = (
@@ -212,7 +212,7 @@ def test_parallel_charged_strands():
 @pytest.mark.parametrize("gap", [0.07, 0.05, 0.0])
 def test_a_tip_pushed_into_a_strand_is_pushed_back(gap):
     """Its cap is round: the force is that of the end point, the integral of phi over the strand."""
-    law, pair = rx.Penalty(1e3), contact_laws.PairProperties(jnp.asarray(0.1), None)
+    law, pair = rx.Penalty(1e3), PairProperties(jnp.asarray(0.1), None)
     s = np.linspace(-0.1, 0.1, 4001)
     phi = law.potential(jnp.hypot(gap, jnp.asarray(s)), pair)
     expected = float(jnp.sum(phi) * (s[1] - s[0]))

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import rodjax as rx
-from rodjax.interactions.contact_laws import PairProperties
+from rodjax.interactions.contact_law import PairProperties
 from rodjax.rods.chain import chain
 from rodjax.rods.strains import strains
 

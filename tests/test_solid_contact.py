@@ -12,7 +12,7 @@ from test_contact_potential import meeting, report
 
 import rodjax as rx
 from rodjax.equations import overlap
-from rodjax.interactions.contact_laws import PairProperties
+from rodjax.interactions.contact_law import PairProperties
 from rodjax.scenes.placing import placing
 
 D = 0.1  # of the strands of `meeting`

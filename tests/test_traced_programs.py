@@ -19,7 +19,8 @@ from rodjax.rods.section import Section
 from rodjax.scenes.placing import placing
 from rodjax.scenes.scene import Scene
 
-CONTACT = {"contact.py", "screening.py", "contact_forces.py", "pair_points.py", "contact_laws.py"}
+CONTACT = {"contact.py", "screening.py", "contact_forces.py", "pair_points.py"}
+CONTACT |= {"contact_law.py", "contact_laws.py"}
 
 
 def rod(**changes):

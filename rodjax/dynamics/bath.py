@@ -17,7 +17,7 @@ from rodjax.inputs.validation import (
     check_scalar,
 )
 from rodjax.interactions.contact_energy import has_potential
-from rodjax.interactions.contact_laws import PairProperties, ignores_approach
+from rodjax.interactions.contact_law import PairProperties, ignores_approach
 from rodjax.numerics.compilation import compiled
 from rodjax.rods.state import NodeMotion, at_rest
 from rodjax.scenes.scene import Scene

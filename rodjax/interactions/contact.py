@@ -26,7 +26,8 @@ from rodjax.inputs.validation import (
     known,
 )
 from rodjax.interactions.contact_checks import check_friction, check_law
-from rodjax.interactions.contact_laws import AbstractLaw, Penalty
+from rodjax.interactions.contact_law import AbstractLaw
+from rodjax.interactions.contact_laws import Penalty
 from rodjax.interactions.friction import AbstractFriction, Dual
 from rodjax.rods.rod import Rod
 

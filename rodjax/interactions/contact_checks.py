@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from rodjax.inputs.validation import all_known, check_instance
-from rodjax.interactions.contact_laws import AbstractLaw, PairProperties
+from rodjax.interactions.contact_law import AbstractLaw, PairProperties
 from rodjax.interactions.friction import AbstractFriction
 from rodjax.numerics.compilation import compiled
 from rodjax.rods.rod import Rod

@@ -12,7 +12,7 @@ from jax import lax
 from jaxtyping import Array, Bool, Float
 
 from rodjax.interactions.contact import Contact
-from rodjax.interactions.contact_laws import PairProperties, continued_potential
+from rodjax.interactions.contact_law import PairProperties, continued_potential
 from rodjax.interactions.pair_points import smooth_step
 from rodjax.interactions.screening import BLOCK, NearPairs, search
 from rodjax.interactions.sites import Sites, along, interpolate, sites_of

@@ -8,7 +8,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from rodjax.interactions import strand_friction
 from rodjax.interactions.contact import Contact
-from rodjax.interactions.contact_laws import PairProperties, continued
+from rodjax.interactions.contact_law import PairProperties, continued
 from rodjax.interactions.screening import BLOCK, NearPairs
 from rodjax.interactions.sites import Sites, along
 from rodjax.interactions.strand_friction import Passing

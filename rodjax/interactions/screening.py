@@ -16,7 +16,7 @@ from rodjax.interactions import contact_graph
 from rodjax.interactions.contact import Contact
 from rodjax.interactions.contact_capacities import BLOCK, capacities
 from rodjax.interactions.contact_graph import Graph
-from rodjax.interactions.contact_laws import PairProperties
+from rodjax.interactions.contact_law import PairProperties
 from rodjax.interactions.involved import chosen_first, involve
 from rodjax.interactions.sites import Sites, along, around_of, interpolate
 from rodjax.numerics import newton

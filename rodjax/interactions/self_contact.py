@@ -8,7 +8,7 @@ from jaxtyping import Array, Float
 
 from rodjax.interactions import contact_duals, contact_energy, contact_forces, screening
 from rodjax.interactions.contact import Contact
-from rodjax.interactions.contact_laws import PairProperties, ignores_approach
+from rodjax.interactions.contact_law import PairProperties, ignores_approach
 from rodjax.interactions.interaction import AbstractInteraction
 from rodjax.interactions.roles import Role
 from rodjax.interactions.screening import NearPairs

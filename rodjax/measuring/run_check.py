@@ -17,7 +17,7 @@ from rodjax.equations.generalized_alpha import GeneralizedAlpha
 from rodjax.equilibria.linear_stability import stability
 from rodjax.equilibria.unstable_modes import neutral
 from rodjax.interactions import sites
-from rodjax.interactions.contact_laws import PairProperties, continued
+from rodjax.interactions.contact_law import PairProperties, continued
 from rodjax.measuring import energy, measures, numerical_damping
 from rodjax.numerics.results import MESSAGES, Result
 from rodjax.scenes import drives
