@@ -19,7 +19,6 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from rodjax.dynamics.run import Run
-from rodjax.equations import joint_terms
 from rodjax.inputs.validation import all_known
 from rodjax.interactions.roles import Role
 from rodjax.measuring.blocks import scan_states
@@ -36,13 +35,14 @@ from rodjax.measuring.energies import (
     torsion_energy,
 )
 from rodjax.measuring.ledger_sheet import sheet_of_ledger
+from rodjax.measuring.ledger_wrenches import ledger_wrenches
 from rodjax.measuring.material_work import booked, material_work
-from rodjax.measuring.reactions import Reactions, reactions, unbalanced
+from rodjax.measuring.reactions import Reactions, reactions
 from rodjax.numerics import rotations
 from rodjax.numerics.results import ModelWarning
 from rodjax.rods.state import State
 from rodjax.scenes.holds import rows_at
-from rodjax.scenes.scene import Found, Scene, projectors
+from rodjax.scenes.scene import Scene, projectors
 
 __all__ = [
     "Ledger",
@@ -167,60 +167,6 @@ def _stored(ledger):
     return strain + ledger.kinetic + ledger.gravity
 
 
-class _Acting(NamedTuple):
-    """Wrenches that do work on the rod at one state; None where the scene has none of the kind."""
-
-    ends: Float[Array, "h 6"]  # and supports
-    loads: Float[Array, "nodes 6"] | None
-    drag: Float[Array, "nodes 6"] | None
-    damping: Float[Array, "nodes 6"] | None
-    contact: Float[Array, "nodes 6"] | None
-    contact_damping: Float[Array, "nodes 6"] | None  # what of it is lost
-    damping_before: Float[Array, ""] | None  # lost so far by what is remembered
-    contact_before: Float[Array, ""] | None
-    driving: tuple  # of what else is moved: forces and coordinates
-
-
-@eqx.filter_jit  # traced once, for its shapes and for the scan
-def _acting(scene: Scene, state: State) -> tuple[_Acting, Found]:
-    """What acts, and what the interactions found, searched for once for forces and energies."""
-    scene = scene.recalling(state.memory)
-    motion, by_role, lost = node_motion(state), {}, {}
-    found = scene.find(state.position)
-
-    def book(column, role, wrench):
-        column[role] = column[role] + wrench if role in column else wrench
-
-    acting, before, driving = [], {}, []
-    for one, its in zip(scene.interactions, found.each, strict=True):
-        exerted = one.exerted(scene.rod, motion, its)
-        acting.append(exerted)
-        book(by_role, one.role, exerted)
-        so_far, moved = one.lost_before(), one.driving(exerted, state.time)
-        if so_far is not None:
-            book(before, Role.CONTACT if one.role is Role.CONTACT else Role.DAMPING, so_far)
-        if moved is not None:
-            driving.append(moved)
-        if one.role in (Role.STORED, Role.CONTACT):
-            column = Role.DAMPING if one.role is Role.STORED else Role.CONTACT
-            book(lost, column, one.lost(scene.rod, motion, its, exerted))
-        elif one.role is Role.DAMPING:
-            book(lost, Role.DAMPING, exerted)
-    driving += joint_terms.driving(scene, state)
-    whole = _Acting(
-        unbalanced(scene, state, tuple(acting)),
-        by_role.get(Role.DRIVEN),
-        by_role.get(Role.DRAG),
-        lost.get(Role.DAMPING),
-        by_role.get(Role.CONTACT),
-        lost.get(Role.CONTACT),
-        before.get(Role.DAMPING),
-        before.get(Role.CONTACT),
-        tuple(driving),
-    )
-    return whole, found
-
-
 def _increment(before: State, after: State) -> Float[Array, "nodes 6"]:
     """Displacement (inertial) and rotation vector (body) of the nodes between two states.
 
@@ -290,7 +236,7 @@ def _intervals(scene: Scene, run: Run) -> tuple[Float[Array, "k works"], Float[A
     """Works and losses of the intervals, that from the first state to itself first; energies."""
     first = jax.tree.map(lambda leaf: leaf[0], run.states)
     # from the first state to itself what acted before does not matter
-    shapes = eqx.filter_eval_shape(_acting, scene, first)[0]
+    shapes = eqx.filter_eval_shape(ledger_wrenches, scene, first)[0]
     nothing = jax.tree.map(lambda leaf: jnp.asarray(np.zeros(leaf.shape), leaf.dtype), shapes)
     return _interval((first, nothing), run.states, scene)[1]
 
@@ -298,7 +244,7 @@ def _intervals(scene: Scene, run: Run) -> tuple[Float[Array, "k works"], Float[A
 @scan_states
 def _interval(carry, after: State, scene: Scene):
     before, old = carry
-    new, found = _acting(scene, after)
+    new, found = ledger_wrenches(scene, after)
     moved = _increment(before, after)
     zero = jnp.zeros((), moved.dtype)
 
