@@ -32,6 +32,7 @@ def _public() -> dict[str, object]:
     # what public functions return
     for module, names in {
         "measuring.energy": ["Ledger", "Reactions"],
+        "measuring.event_times": ["first_crossing", "slopes", "time_of_maximum"],
         "rods.winding": ["twist", "writhe", "writhe_of"],
         "dynamics.stepping": ["StepInfo"],
         "interactions.contact_report": ["ContactReport"],
