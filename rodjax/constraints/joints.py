@@ -17,7 +17,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from rodjax.constraints.ends import check_axis, unit_vector
+from rodjax.constraints.axes import check_axis, unit_vector
 from rodjax.inputs.schedules import AbstractSchedule, check_schedule
 from rodjax.inputs.validation import (
     as_float,
