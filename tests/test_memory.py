@@ -10,6 +10,7 @@ from jaxtyping import Array, Float
 
 import rodjax as rx
 from rodjax import storage
+from rodjax.scenes.memory import remembering
 
 ELEMENTS, MASS, STIFFNESS, SPEED = 4, 0.5, 30.0, 2.0
 STEPS = np.linspace(0.0, 0.4, 401)[1:]
@@ -118,4 +119,4 @@ def test_memory_of_another_scene_is_refused(run):
     with pytest.raises(ValueError, match="another scene"):
         rx.rollout(other, run.final, [0.5])
     forgetful = rx.Scene(scene.rod)
-    assert forgetful.remembering(run.final).memory is None
+    assert remembering(forgetful, run.final).memory is None

@@ -25,6 +25,7 @@ from rodjax.rods.framing import of_one_sign
 from rodjax.rods.state import State, at_rest
 from rodjax.rods.strains import strains
 from rodjax.scenes.arguments import check_scene
+from rodjax.scenes.memory import remembering
 from rodjax.scenes.scene import Scene
 
 
@@ -97,7 +98,7 @@ def start(
         jnp.zeros((rod.elements, 3), dtype),
         breaks=rod.breaks,
     )
-    state = scene.remembering(state)
+    state = remembering(scene, state)
     start_checks.check_driven_joints(scene, state)
     start_checks.check_held_once(scene, state)
     start_checks.check_spin(scene, state)

@@ -25,6 +25,7 @@ from rodjax.numerics.results import Result, as_code, join
 from rodjax.rods.state import State, node_motion
 from rodjax.rods.strains import wound
 from rodjax.scenes import drives
+from rodjax.scenes.memory import next_memory, remembering
 from rodjax.scenes.scene import Found, Scene
 
 
@@ -72,7 +73,7 @@ def prepare(scene: Scene, state: State) -> State:
     """The state with the count of settling steps and the memory that the scene needs."""
     if scene.switch_times and state.settling is None:
         state = dataclasses.replace(state, settling=jnp.asarray(0, jnp.int32))
-    return scene.remembering(state)
+    return remembering(scene, state)
 
 
 def step(
@@ -199,7 +200,7 @@ def advance_to(
         breaks=state.breaks,
     )
     if scene.remembers:
-        memory = equations.scene.next_memory(node_motion(new))
+        memory = next_memory(equations.scene, node_motion(new))
         new = dataclasses.replace(new, memory=memory)
     error = local_error(scheme.coefficients, state.auxiliary, auxiliary)
     largest = lambda v: jnp.sqrt(jnp.max(jnp.sum(lax.stop_gradient(v) ** 2, 1)))

@@ -41,6 +41,7 @@ from rodjax.numerics.failure import not_a_number
 from rodjax.numerics.results import ModelWarning, Result
 from rodjax.rods.state import State
 from rodjax.scenes.arguments import check_motion
+from rodjax.scenes.memory import next_memory, remembering
 from rodjax.scenes.scene import Scene
 
 
@@ -130,7 +131,7 @@ def equilibrium(
         (True, 0)
     """
     check_motion(scene, state)
-    state = scene.remembering(state)
+    state = remembering(scene, state)
     dtype = state.position.dtype
     stop = jnp.asarray(state.time if time is None else time, dtype)
     if tolerance is None:
@@ -233,7 +234,7 @@ def _equilibrium(
     motion = equations.motion(x)
     zero = jnp.zeros_like(state.rate)
     quaternion = rotations.normalize(motion.quaternion)
-    memory, force = equations.scene.next_memory(motion), equations.force(x)
+    memory, force = next_memory(equations.scene, motion), equations.force(x)
     at_rest = zero, zero, zero, force
     breaks = scene.rod.breaks
     new = State(time, motion.position, quaternion, *at_rest, memory=memory, breaks=breaks)

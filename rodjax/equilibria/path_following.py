@@ -42,6 +42,7 @@ from rodjax.rods.rod import Rod
 from rodjax.rods.state import Memory
 from rodjax.rods.strains import element_rotation, wound
 from rodjax.scenes import drives
+from rodjax.scenes.memory import next_memory
 from rodjax.scenes.scene import Scene
 
 # How often the path's step may be halved before the path is given up, and before the rod descends.
@@ -167,7 +168,7 @@ def follow(
         target = jnp.where(opening, path.reached, pick(descent.target, whole(step)))
         behind = equations(path.reached, path.reference, path.memory)
         here = _configuration(behind, path.x)
-        memory = None if path.memory is None else behind.scene.next_memory(behind.motion(path.x))
+        memory = None if path.memory is None else next_memory(behind.scene, behind.motion(path.x))
         reference, forces = pick((descent.reference, descent.forces), here)
         sigma = jnp.where(descent.active & ~descent.free, descent.resistance, 0.0)
         trial = equations(target, reference, memory, sigma, path.repeats.astype(path.x.dtype))

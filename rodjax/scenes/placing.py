@@ -7,6 +7,7 @@ from rodjax.inputs.argument_types import Number
 from rodjax.inputs.validation import check_finite, check_scalar
 from rodjax.rods.state import State, at_rest
 from rodjax.scenes.arguments import check_scene
+from rodjax.scenes.memory import first_memory
 from rodjax.scenes.scene import Scene
 
 
@@ -29,6 +30,6 @@ def placing(scene: Scene, time: Number | Float[Array, ""] = 0.0) -> State:
     rate = jnp.zeros((rod.elements + 1, 6), dtype)
     force = jnp.zeros((rod.elements, 3), dtype)
     now = jnp.asarray(time, dtype)
-    memory = scene.first_memory(at_rest(now, rod.position, rod.quaternion))
+    memory = first_memory(scene, at_rest(now, rod.position, rod.quaternion))
     still = rate, rate, rate, force
     return State(now, rod.position, rod.quaternion, *still, memory=memory, breaks=rod.breaks)

@@ -20,10 +20,10 @@ from rodjax.interactions.interaction import AbstractInteraction
 from rodjax.interactions.load import AbstractLoad
 from rodjax.interactions.self_contact import FoundContact, SelfContact
 from rodjax.rods.chain import rods_of
-from rodjax.rods.constitution import recalled, seen_by_material
+from rodjax.rods.constitution import recalled
 from rodjax.rods.lump import Lump
 from rodjax.rods.rod import Rod
-from rodjax.rods.state import Memory, NodeMotion, State, node_motion
+from rodjax.rods.state import Memory
 from rodjax.scenes import probing, scene_checks
 from rodjax.scenes.body import Body, with_all
 from rodjax.scenes.holds import Held, Node
@@ -219,29 +219,9 @@ class Scene(eqx.Module):
     @property
     def remembers(self) -> bool:
         """Whether anything of it remembers the motion before, see `State.memory`."""
-        return any(load.remembers for load in self.loads) or self._material_remembers
-
-    @property
-    def _material_remembers(self) -> bool:
-        return self.rod.material is not None and self.rod.material.remembers
-
-    def first_memory(self, motion: NodeMotion) -> Memory | None:
-        """What is remembered at a start; None where nothing is."""
-        if not self.remembers:
-            return None
-        loads, own = tuple(load.first_memory(self.rod, motion) for load in self.loads), None
-        if self._material_remembers and self.rod.material is not None:
-            own = self.rod.material.first_memory(seen_by_material(self.rod, motion))
-        return Memory(loads, own)
-
-    def next_memory(self, motion: NodeMotion) -> Memory | None:
-        """What is remembered after an accepted step, asked of `recalling` the step's start."""
-        if not self.remembers:
-            return None
-        loads, own = tuple(load.next_memory(self.rod, motion) for load in self.loads), None
-        if self._material_remembers and self.rod.material is not None:
-            own = self.rod.material.next_memory(seen_by_material(self.rod, motion))
-        return Memory(loads, own)
+        material = self.rod.material
+        own = material is not None and material.remembers
+        return any(load.remembers for load in self.loads) or own
 
     @property
     def rubs(self) -> bool:
@@ -260,25 +240,6 @@ class Scene(eqx.Module):
 
         values = [duals[i] for i in rubbing] + ([duals[-1]] if own else [])
         return eqx.tree_at(where, self, values, is_leaf=lambda leaf: leaf is None)
-
-    def remembering(self, state: State) -> State:
-        """The state with the memory that a run of the scene needs, begun anew where it has none.
-
-        Raises:
-            ValueError: what it remembers is not of this scene.
-        """
-        if not self.remembers:
-            return state if state.memory is None else dataclasses.replace(state, memory=None)
-        begun = lambda: self.first_memory(node_motion(state))
-        if state.memory is None:
-            return dataclasses.replace(state, memory=begun())
-        shapes = lambda memory: jax.tree.map(jnp.shape, memory)
-        if shapes(state.memory) != shapes(jax.eval_shape(begun)):
-            raise ValueError(
-                "state: remembers what happened in another scene; let it begin to remember anew by"
-                " dataclasses.replace(state, memory=None)"
-            )
-        return state
 
     def recalling(self, memory: Memory | None) -> "Scene":
         """The scene of which all parts know what they remember."""
