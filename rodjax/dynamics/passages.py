@@ -15,6 +15,7 @@ from rodjax.numerics.compilation import compiled
 from rodjax.rods.state import State
 from rodjax.rods.winding import twist, writhe_of
 from rodjax.scenes import drives
+from rodjax.scenes.closure import welded
 from rodjax.scenes.scene import Scene, projectors
 
 # A passage changes Lk by 2, an element folded by more than half a turn its polygon's Lk by 1,
@@ -46,7 +47,7 @@ def unexplained(scene: Scene, before: State, after: State) -> Float[Array, ""]:
     both = jax.tree.map(lambda *leaves: jnp.stack(leaves), before, after)
     linking = jax.vmap(lambda state: twist(state) + writhe_of(scene.closed, state))(both)
     change = linking[1] - linking[0]
-    if scene.welded(0):  # a ring, whatever its ends do
+    if welded(scene, 0):  # a ring, whatever its ends do
         turned = [drives.turns_of_ring(scene, state.time) for state in (before, after)]
         return change - (turned[1] - turned[0])
     for end, tangent, sign in zip(scene.ends, tangents, (-1.0, 1.0), strict=True):

@@ -27,6 +27,7 @@ from rodjax.rods.state import State
 from rodjax.rods.strains import curvature, strains
 from rodjax.rods.winding import twist, writhe, writhe_of  # noqa: F401 (public here)
 from rodjax.scenes import drives
+from rodjax.scenes.closure import closings, welded
 from rodjax.scenes.scene import Scene
 
 
@@ -56,7 +57,7 @@ def turns(
 @compiled
 def _turns(scene, time, start):
     total = jnp.zeros((), scene.rod.position.dtype)
-    if scene.welded(0):
+    if welded(scene, 0):
         return total + drives.turns_of_ring(scene, time) - drives.turns_of_ring(scene, start)
     for end, node, sign in zip(scene.ends, (0, -1), (-1, 1), strict=True):
         turn = end.rotation
@@ -74,14 +75,14 @@ def _check_counted(scene: Scene) -> None:
     The latter outside traced code only.
     """
     check_alone(scene.rod, "a number of turns")
-    for name, joint, _ in scene.closings(0):
+    for name, joint, _ in closings(scene, 0):
         along = joint.driven()
         if along is not None and all_known(along) and np.any(np.abs(np.asarray(along)[:5]) > 1e-12):
             raise ValueError(
                 f"{name}: turns are counted for a drive about the tangent only; give the axis"
                 " (0, 0, 1)"
             )
-    if scene.welded(0):
+    if welded(scene, 0):
         return
     for name, node, end in scene.holds[:2]:
         if end.rotation is None or not all_known(end.rotation.axis, scene.rod.quaternion):

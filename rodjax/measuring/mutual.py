@@ -8,6 +8,7 @@ from jaxtyping import Array, Float
 from rodjax.dynamics.run import Run
 from rodjax.measuring.blocks import over_states
 from rodjax.rods import topology
+from rodjax.scenes.closure import welded
 from rodjax.scenes.scene import Scene
 
 
@@ -29,7 +30,7 @@ def mutual_linking(scene: Scene, run: Run) -> Float[Array, "k r r"]:
 def _mutual(state, scene):
     lines, rings = [], []
     for i, part in enumerate(scene.rod.strands):
-        ring = scene.welded(i)
+        ring = welded(scene, i)
         # the last node of a ring is where the first is
         lines.append(state.position[part.nodes][:-1] if ring else state.position[part.nodes])
         rings.append(ring)

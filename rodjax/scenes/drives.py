@@ -14,6 +14,7 @@ from rodjax.constraints.ends import AbstractEnd
 from rodjax.numerics import rotations
 from rodjax.numerics.compilation import compiled
 from rodjax.rods.state import State
+from rodjax.scenes.closure import closings
 from rodjax.scenes.scene import Scene
 
 # Largest turn of an end in one step [rad]: half a turn less the rounding of its schedule.
@@ -65,7 +66,7 @@ def turns_of_ring(scene: Scene, time: Float[Array, ""]) -> Float[Array, ""]:
     Not a number where they turn it about another axis than its tangent.
     """
     total = jnp.zeros((), scene.rod.position.dtype)
-    for _, joint, sense in scene.closings(0):
+    for _, joint, sense in closings(scene, 0):
         along = joint.driven()
         if along is not None:
             about = jnp.where(jnp.sum(along[:5] ** 2) < _ASKEW**2, along[5], jnp.nan)

@@ -24,7 +24,7 @@ from rodjax.rods.constitution import recalled
 from rodjax.rods.lump import Lump
 from rodjax.rods.rod import Rod
 from rodjax.rods.state import Memory
-from rodjax.scenes import probing, scene_checks
+from rodjax.scenes import closure, probing, scene_checks
 from rodjax.scenes.body import Body, with_all
 from rodjax.scenes.holds import Held, Node
 from rodjax.scenes.material_probing import check_law
@@ -278,34 +278,7 @@ class Scene(eqx.Module):
         where the kinds of the ends exclude it; else it follows from where the rod is placed, in
         traced code as well.
         """
-        if self.rod.breaks:
-            return False
-        if self.welded(0):
-            return True
-        fixed = [end.fixed for end in self.ends]
-        diameter = self.rod.diameter
-        if diameter is None or any(one is False for one in fixed):
-            return False
-        gap = self.rod.position[-1] - self.rod.position[0]
-        # nearer than any two solid strands
-        closed = jnp.sum(gap**2) < (0.5 * jnp.min(diameter)) ** 2
-        for one in fixed:
-            closed = closed & one
-        return closed
-
-    def welded(self, index: int) -> bool:
-        """Whether a joint holds the two ends of one of the rods together, frames and all."""
-        return bool(self.closings(index))
-
-    def closings(self, index: int) -> list[tuple[str, AbstractJoint, int]]:
-        """The joints that do: name, joint, and 1 if its first point is at s = 0, else -1."""
-        part, found = self.rod.parts[index], []
-        sense = {(part.first, part.last): 1, (part.last, part.first): -1}
-        for i, joint in enumerate(self.joints):
-            places = joint.first.place(self.rod.parts), joint.second.place(self.rod.parts)
-            if joint.rejoins and places in sense:
-                found.append((f"joints[{i}]", joint, sense[places]))
-        return found
+        return closure.closed(self)
 
     @property
     def switch_times(self) -> tuple[Float[Array, ""], ...]:

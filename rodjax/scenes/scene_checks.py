@@ -16,6 +16,7 @@ from rodjax.rods.chain import chain
 from rodjax.rods.lump import Lump
 from rodjax.rods.rod import Rod
 from rodjax.rods.rod_checks import check_lumps
+from rodjax.scenes.closure import welded
 
 if TYPE_CHECKING:
     from rodjax.scenes.scene import Scene
@@ -173,7 +174,7 @@ def rings_of(scene: "Scene") -> tuple[bool, ...] | None:
     if not all(isinstance(joint, AbstractJoint) for joint in joints):
         return None  # a check says so
     try:
-        closed = tuple(scene.welded(i) for i in range(len(scene.rod.strands)))
+        closed = tuple(welded(scene, i) for i in range(len(scene.rod.strands)))
     except IndexError:  # a rod that is not there: a check says so
         return None
     return closed if any(closed) else None
