@@ -23,7 +23,7 @@ from jaxtyping import Array, Bool, Float
 from rodjax.inputs.validation import all_known
 from rodjax.interactions.contact import Contact
 from rodjax.interactions.contact_energy import pair_energy
-from rodjax.interactions.contact_laws import PairProperties
+from rodjax.interactions.contact_law import PairProperties
 from rodjax.interactions.self_contact import FoundContact
 from rodjax.interactions.sites import Sites, along, interpolate, sites_of
 from rodjax.numerics import newton
