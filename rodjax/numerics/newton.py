@@ -40,8 +40,9 @@ from rodjax.numerics.results import Result
 SOLUTION = "newton_solution"
 
 
-# Contraction above which a held derivative is taken anew.
-_HELD = 0.2
+# Contraction above which a held derivative is taken anew, and one with duals: held longer, one of a
+# hundred starts of strands that stick fails.
+_HELD, _HELD_WITH_DUALS = 0.2, 0.1
 
 # What an increment may leave of a constraint, at least a few units of rounding, and how many more
 # increments are made for its sake: where rounding leaves it larger they would go on for ever.
@@ -98,7 +99,7 @@ def iterate_held(equations, x, tolerance, max_iterations) -> tuple[Any, NewtonIn
     elimination costs several times a residual.
     """
     limits = tolerance, max_iterations, PATIENCE
-    return _until_done(lambda loop: _corrected(equations, loop, limits), x, limits)
+    return _until_done(lambda loop: _corrected(equations, loop, limits, _HELD), x, limits)
 
 
 def iterate_dual(
@@ -112,12 +113,14 @@ def iterate_dual(
     kept as by `iterate_held`, and so are its duals.
     """
     limits = tolerance, max_iterations, PATIENCE_WITH_DUALS
-    correct = _corrected if held else _corrected_once
 
     def body(carry):
         loop, duals = carry
         whole = equations.with_duals(duals)
-        new = correct(whole, loop, limits)
+        if held:
+            new = _corrected(whole, loop, limits, _HELD_WITH_DUALS)
+        else:
+            new = _corrected_once(whole, loop, limits)
         return new, whole.next_duals(new.x)
 
     going = lambda carry: _unfinished(carry[0], limits)
@@ -136,13 +139,13 @@ def _corrected_once(equations, loop: _Loop, limits) -> _Loop:
     return _updated(equations, fresh, equations.newton_increment(loop.x), limits[0])
 
 
-def _corrected(equations, loop: _Loop, limits) -> _Loop:
-    """After increments by one derivative, as many as shrink fast."""
+def _corrected(equations, loop: _Loop, limits, shrinks: float) -> _Loop:
+    """After increments by one derivative, as many as shrink by this factor."""
     system = equations.linearize(loop.x).eliminate()
 
     def again(state):
         first, inner = state
-        shrinking = (inner.contraction < _HELD) | (inner.close > 0)
+        shrinking = (inner.contraction < shrinks) | (inner.close > 0)
         return _unfinished(inner, limits) & (first | shrinking)
 
     def correct(state):

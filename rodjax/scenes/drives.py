@@ -111,11 +111,10 @@ def _joints_off(scene: Scene, states: State) -> float:
         nodes = np.asarray([joint.first.place(parts), joint.second.place(parts)])
         first, second = jnp.asarray(scene.rod.quaternion)[nodes]
         placed = rotations.multiply(rotations.conjugate(first), second)
-        at = jnp.asarray(states.position)[-1, nodes], jnp.asarray(states.quaternion)[-1, nodes]
+        position, frame = jnp.asarray(states.position)[-1], jnp.asarray(states.quaternion)[-1]
+        here, there = ((position[node], frame[node]) for node in nodes)
         # as in `_wanted`, not in a compiled program
-        gap = joint.projector().astype(placed.dtype) @ joint.gap(
-            *zip(*at, strict=True), placed, time
-        )
+        gap = joint.projector().astype(placed.dtype) @ joint.gap(here, there, placed, time)
         shift, turn = np.linalg.norm(np.asarray(gap).reshape(2, 3), axis=1)
         worst = max(worst, float(shift) / length, float(turn))
     return worst
