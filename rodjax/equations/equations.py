@@ -164,12 +164,17 @@ class Equations(eqx.Module, Generic[Scheme]):
         placed = self._placed(x)
         return self._system(x, placed, *self._contact(placed))
 
-    @jax.named_scope("newton_increment")
-    def newton_increment(self, x):
-        """Newton's increment, contact forces and their derivative evaluated once."""
+    @jax.named_scope("linearize")
+    def linearize_with_residual(self, x):
+        """Both, contact forces and their derivative evaluated once."""
         placed = self._placed(x)
         push, coupling = self._contact(placed)
-        return self._system(x, placed, push, coupling).solve_once(-self._residual(x, placed, push))
+        return self._system(x, placed, push, coupling), self._residual(x, placed, push)
+
+    def newton_increment(self, x):
+        """Newton's increment."""
+        system, residual = self.linearize_with_residual(x)
+        return system.solve_once(-residual)
 
     def _contact(self, placed: Placed) -> tuple[Acting, Coupling | None]:
         """What contact exerts on the nodes, and its derivative in the Newton system."""

@@ -6,6 +6,7 @@ An equations object has
     linearize(x) -> system                            system.solve(b), system.solve_transpose(b),
                                                       system.multiply(b): the derivative at x,
                                                       system.eliminate(): for several right sides,
+    linearize_with_residual(x) -> system, r           both, what they share evaluated once,
     retract(x, dx) -> x                               applies the solved increment,
     lift(x, dx) -> d(x)                               the same to first order,
     limit(x, dx) -> scale in (0, 1]                   how much of the increment is safe,
@@ -141,7 +142,8 @@ def _corrected_once(equations, loop: _Loop, limits) -> _Loop:
 
 def _corrected(equations, loop: _Loop, limits, shrinks: float) -> _Loop:
     """After increments by one derivative, as many as shrink by this factor."""
-    system = equations.linearize(loop.x).eliminate()
+    system, residual = equations.linearize_with_residual(loop.x)
+    system = system.eliminate()
 
     def again(state):
         first, inner = state
@@ -149,8 +151,10 @@ def _corrected(equations, loop: _Loop, limits, shrinks: float) -> _Loop:
         return _unfinished(inner, limits) & (first | shrinking)
 
     def correct(state):
-        inner = state[1]
-        dx = system.solve(-equations.residual(inner.x))
+        first, inner = state
+        # by a condition, not before the loop by a solve of its own: the solve is compiled once
+        here = lax.cond(first, lambda _: residual, lambda x: equations.residual(x), inner.x)
+        dx = system.solve(-here)
         # the first correction by a derivative is quadratic, s_1 = c s_0^2, and those that
         # follow shrink by 2 c s_0 each
         return jnp.asarray(False), _updated(equations, inner, dx, limits[0], growth=2.0)
