@@ -46,6 +46,9 @@ class Pendulum(eqx.Module):
         slopes = [[1.0, jnp.sin(angle)], [0.0, 1 + jnp.sin(angle)]]
         return Matrix([[jnp.asarray(slope, x.dtype) for slope in row] for row in slopes])
 
+    def linearize_with_residual(self, x):
+        return self.linearize(x), self.residual(x)
+
     def newton_increment(self, x):
         return self.linearize(x).solve(-self.residual(x))
 

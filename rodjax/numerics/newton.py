@@ -145,6 +145,9 @@ def _corrected(equations, loop: _Loop, limits, shrinks: float) -> _Loop:
     system, residual = equations.linearize_with_residual(loop.x)
     system = system.eliminate()
 
+    def elsewhere(x):
+        return equations.residual(x)
+
     def again(state):
         first, inner = state
         shrinking = (inner.contraction < shrinks) | (inner.close > 0)
@@ -153,7 +156,7 @@ def _corrected(equations, loop: _Loop, limits, shrinks: float) -> _Loop:
     def correct(state):
         first, inner = state
         # by a condition, not before the loop by a solve of its own: the solve is compiled once
-        here = lax.cond(first, lambda _: residual, lambda x: equations.residual(x), inner.x)
+        here = lax.cond(first, lambda _: residual, elsewhere, inner.x)
         dx = system.solve(-here)
         # the first correction by a derivative is quadratic, s_1 = c s_0^2, and those that
         # follow shrink by 2 c s_0 each
