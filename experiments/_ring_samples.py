@@ -96,7 +96,7 @@ def _repelled(scene: rx.Scene, position):
     apart = np.abs(at[:, None] - at)
     near = np.minimum(apart, n - apart) * spacing < float(contact.exclusion)
     first, second = np.nonzero(np.triu(~near))
-    part = (jnp.arange(count) + 0.5)[:, None] / count
+    part = (jnp.arange(count, dtype=position.dtype) + 0.5)[None, :, None] / count
     points = position[:-1, None] + part * jnp.diff(position, axis=0)[:, None]
     points = points.reshape(count * n, 3)
     distance = jnp.sqrt(jnp.sum((points[first] - points[second]) ** 2, 1))
