@@ -36,7 +36,8 @@ def located(
         return [found]
     values = _values_at(walker, before, found, abs(event.change))
     scale = max(_largest(before, len(values)), _largest(after, len(values)))
-    others = values[np.abs(values) > _ALIKE * scale]
+    # what costs nothing besides is known to its own level
+    others = values[np.abs(values) > max(_ALIKE * scale, float(before.look.level))]
     if not len(others):
         return [found]
     alone = dataclasses.replace(found, modes=found.modes[: len(values) - len(others)])
