@@ -103,18 +103,22 @@ def astray(scene: Scene, states: State, allowed: float) -> bool:
 
 def _joints_off(scene: Scene, states: State) -> float:
     """How far driven joints are off their schedules in the last saved state, see `_ASTRAY`."""
-    parts, time = scene.rod.parts, jnp.asarray(states.time)[-1]
+    driven = [joint for joint in scene.joints if joint.schedules]
+    if not driven:
+        return 0.0
+    known = scene.rod.quaternion, states.time, states.position, states.quaternion
+    frames, time, position, quaternion = map(np.asarray, known)
     length, worst = float(np.mean(np.asarray(scene.rod.length))), 0.0
-    for joint in scene.joints:
-        if not joint.schedules:
-            continue
-        nodes = np.asarray([joint.first.place(parts), joint.second.place(parts)])
-        first, second = jnp.asarray(scene.rod.quaternion)[nodes]
+    for joint in driven:
+        places = [point.place(scene.rod.parts) for point in (joint.first, joint.second)]
+        first, second = (jnp.asarray(frames[node]) for node in places)
         placed = rotations.multiply(rotations.conjugate(first), second)
-        position, frame = jnp.asarray(states.position)[-1], jnp.asarray(states.quaternion)[-1]
-        here, there = ((position[node], frame[node]) for node in nodes)
+        here, there = (
+            (jnp.asarray(position[-1, node]), jnp.asarray(quaternion[-1, node])) for node in places
+        )
+        now = jnp.asarray(time[-1])
         # as in `_wanted`, not in a compiled program
-        gap = joint.projector().astype(placed.dtype) @ joint.gap(here, there, placed, time)
+        gap = joint.projector().astype(placed.dtype) @ joint.gap(here, there, placed, now)
         shift, turn = np.linalg.norm(np.asarray(gap).reshape(2, 3), axis=1)
         worst = max(worst, float(shift) / length, float(turn))
     return worst
