@@ -149,6 +149,7 @@ def _corrected(equations, loop: _Loop, limits, shrinks: float) -> _Loop:
     system, residual = equations.linearize_with_residual(loop.x)
     system = system.eliminate()
 
+    # not the method itself, which has no hash where it holds arrays that are traced
     def elsewhere(x):
         return equations.residual(x)
 

@@ -1,42 +1,35 @@
 """What a scene remembers of the motion before: begun at a start, carried on by accepted steps."""
 
 import dataclasses
+from collections.abc import Callable
 
 import jax
 import jax.numpy as jnp
 
 from rodjax.rods.constitution import seen_by_material
-from rodjax.rods.material import AbstractMaterial
 from rodjax.rods.state import Memory, NodeMotion, State, node_motion
 from rodjax.scenes.scene import Scene
 
 
 def first_memory(scene: Scene, motion: NodeMotion) -> Memory | None:
     """What is remembered at a start; None where nothing is."""
-    if not scene.remembers:
-        return None
-    loads, own = tuple(load.first_memory(scene.rod, motion) for load in scene.loads), None
-    material = _that_remembers(scene)
-    if material is not None:
-        own = material.first_memory(seen_by_material(scene.rod, motion))
-    return Memory(loads, own)
+    return _memory(scene, motion, lambda one: one.first_memory)
 
 
 def next_memory(scene: Scene, motion: NodeMotion) -> Memory | None:
     """What is remembered after an accepted step, asked of `Scene.recalling` the step's start."""
+    return _memory(scene, motion, lambda one: one.next_memory)
+
+
+def _memory(scene: Scene, motion: NodeMotion, asked: Callable) -> Memory | None:
+    """What is asked of all loads, and of the material if it remembers anything."""
     if not scene.remembers:
         return None
-    loads, own = tuple(load.next_memory(scene.rod, motion) for load in scene.loads), None
-    material = _that_remembers(scene)
-    if material is not None:
-        own = material.next_memory(seen_by_material(scene.rod, motion))
-    return Memory(loads, own)
-
-
-def _that_remembers(scene: Scene) -> AbstractMaterial | None:
-    """The material, if it remembers anything."""
+    loads = tuple(asked(load)(scene.rod, motion) for load in scene.loads)
     material = scene.rod.material
-    return material if material is not None and material.remembers else None
+    if material is None or not material.remembers:
+        return Memory(loads, None)
+    return Memory(loads, asked(material)(seen_by_material(scene.rod, motion)))
 
 
 def remembering(scene: Scene, state: State) -> State:
